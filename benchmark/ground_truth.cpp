@@ -98,8 +98,8 @@ void Compare(const SimulatorOptions& truth, bool with_gaps, Accuracy* sums) {
     const Eigen::Quaterniond q_WI = Eigen::Quaterniond(s.R_WM) * truth.T_MI.q;
     const Eigen::Vector3d v_WI = s.v_W + s.R_WM * s.omega_M.cross(truth.T_MI.p);
     Error e;
-    e << Log(Eigen::Quaterniond(q_WI.conjugate() * x->q_WI)),
-        x->p_WI - s.p_WM - s.R_WM * truth.T_MI.p, x->v_W - v_WI;
+    e << Log(Eigen::Quaterniond(q_WI.conjugate() * x->q_WB)),
+        x->p_WB - s.p_WM - s.R_WM * truth.T_MI.p, x->v_W - v_WI;
     Eigen::Matrix<double, 9, 9> C;
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < 3; ++j)

@@ -91,7 +91,7 @@ struct TrackErrors {
     };
     const auto error = [](const ImuState& state, const Rigid3& of) {
       Vector6d e;
-      e << Log(Eigen::Quaterniond(of.q.conjugate() * state.q_WI)), state.p_WI - of.p;
+      e << Log(Eigen::Quaterniond(of.q.conjugate() * state.q_WB)), state.p_WB - of.p;
       return e;
     };
     const PoseSensorCalibration& sensor = result.pose_sensors[0];
@@ -113,7 +113,7 @@ struct TrackErrors {
       const double s =
           1e-9 * static_cast<double>(instant.stamp_ns - truth.start_ns) + own.time_shift_s;
       const Rigid3 was = T_WS(s + own.clock_drift * (s - 0.5 * truth.duration_s));
-      const Rigid3 found{state->q_WI, state->p_WI};
+      const Rigid3 found{state->q_WB, state->p_WB};
       const Vector6d e = error(*state, was);
       rotation2 += e.head<3>().squaredNorm();
       position2 += e.tail<3>().squaredNorm();

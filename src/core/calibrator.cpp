@@ -15,9 +15,7 @@
 #include "imu_pose_calib/core/pose_sensor/sensor_track.h"
 #include "imu_pose_calib/core/start/data_check.h"
 #include "imu_pose_calib/core/start/preparation.h"
-#include "imu_pose_calib/core/verdict/doubts.h"
-#include "imu_pose_calib/core/verdict/observability.h"
-#include "imu_pose_calib/core/verdict/session_agreement.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -173,7 +171,6 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
       const auto offset = [&](double t) {
         return own.time_shift + own.clock_drift * (t - clock.clock_reference) + clock.walk.At(t);
       };
-      own.clock = {};
       own.clock.wanders = !clock.walk.IsLine();
       const std::vector<TimedSample>& gyro = solution->imus[s][i].gyro;
       const std::vector<double> knots =
@@ -217,14 +214,6 @@ Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSe
   return solution;
 }
 
-/// The result of a session whose motion does not suffice.
-void ReportDegenerate(const DegenerateMotion& error, const std::string& in_session,
-                      Calibration* result) {
-  result->status = Status::kDegenerate;
-  result->message = in_session + error.what();
-  result->unobservable = {in_session + error.unobservable};
-}
-
 /// Session s, ready to be calibrated, with what its data are in `result`. Nothing when its motion
 /// is degenerate, which is the result then. Its data go: those of a long recording are a lot.
 /// Throws DataError or OptionNeeded that name the session.
@@ -248,7 +237,9 @@ std::optional<PreparedSession> PrepareSession(const CalibrationOptions& options,
     return session;
   } catch (const DegenerateMotion& error) {
     report();
-    ReportDegenerate(error, in_session, result);
+    result->status = Status::kDegenerate;
+    result->message = in_session + error.what();
+    result->unobservable = {in_session + error.unobservable};
     return std::nullopt;
   } catch (const OptionNeeded& error) {
     throw OptionNeeded(in_session + error.what());
@@ -302,43 +293,52 @@ void CalibrateSensors(const CalibrationOptions& options, const std::vector<Sessi
     for (const SessionData& session : data) poses.push_back(session.pose_sensors[k]);
     result->pose_sensors.push_back(CalibrateSensor(options, poses, k, result));
   }
+  const auto is_degenerate = [](const PoseSensorCalibration& sensor) {
+    return sensor.status == Status::kDegenerate;
+  };
+  const auto& sensors = result->pose_sensors;
+  if (result->imus.empty() && std::all_of(sensors.begin(), sensors.end(), is_degenerate))
+    result->status = Status::kDegenerate;
   stage.End();
 }
 
-/// A rig without IMUs: the trajectories are those of the poses alone.
-Calibration CalibrateSensorsAlone(const CalibrationOptions& options,
-                                  const std::vector<SessionData>& data, const Progress& progress,
-                                  Calibration result) {
+/// S3 or S4, and S5 but for pose sensors.
+Solution SolveRig(const CalibrationOptions& options, const Progress& progress,
+                  std::vector<PreparedSession>* sessions, Calibration* result) {
+  Estimate estimate;
+  for (const PreparedSession& session : *sessions)
+    AddStart(Estimate(session, options.bias_knot_interval_s), &estimate);
   Solution solution;
-  solution.estimate.sessions.resize(data.size());
-  solution.imus.resize(data.size());
-  for (size_t s = 0; s < data.size(); ++s) {
-    ConditionedData conditioned = ConditionData(options, data[s]);
-    const auto trajectory =
-        std::make_shared<const PoseTrajectory>(FitTrajectory(options, &conditioned));
-    try {
-      CheckTurns(*trajectory);
-    } catch (const DegenerateMotion& error) {
-      ReportDegenerate(error, InSession(s, data.size()), &result);
-      return result;
-    }
-    SessionCalibration& session = result.sessions[s];
-    session.imus.clear();
-    session.poses = conditioned.pose_report;
-    session.segments = conditioned.segments.size();
-    session.gaps = conditioned.gaps;
-    session.jumps = conditioned.jumps;
-    solution.trajectories.push_back(trajectory);
-    solution.pose_epochs_ns.push_back(conditioned.pose_epoch_ns);
+  if (options.method == Method::kJoint) {
+    solution = SolveTogether(options, sessions, progress, &estimate, result);
+  } else {
+    const Stage solve(progress, "calibration");
+    solution = SolveAgainstTrajectory(options, *sessions, &estimate);
+    solve.End(solution.iterations);
   }
-  result.solution = std::make_shared<const Solution>(std::move(solution));
-  result.status = Status::kOk;
-  CalibrateSensors(options, data, progress, &result);
-  if (result.status == Status::kOk) result.message = "every sigma is within its bound";
-  if (std::all_of(result.pose_sensors.begin(), result.pose_sensors.end(),
-                  [](const auto& sensor) { return sensor.status == Status::kDegenerate; }))
-    result.status = Status::kDegenerate;
-  return result;
+  const Stage verdict(progress, "sigmas and verdict");
+  ReportEstimate(estimate, *sessions, result);
+  ReportSensors(solution, result);
+  if (options.method == Method::kGp)
+    for (size_t s = 0; s < sessions->size(); ++s)
+      result->sessions[s].rms = PoseResiduals((*sessions)[s]);
+  const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), result);
+  GradeResult(options, marginals, result);
+  WarnOfMisfit(marginals, result);
+  DoubtResult(*sessions, solution.has_settled, result);
+  TestSessionAgreement(result);
+  solution.estimate = std::move(estimate);
+  verdict.End();
+  return solution;
+}
+
+/// Of a rig without IMUs, the trajectories are those of the poses alone.
+Solution SolveNothing(size_t sessions, Calibration* result) {
+  Solution solution;
+  solution.estimate.sessions.resize(sessions);
+  result->status = Status::kOk;
+  result->message = "every sigma is within its bound";
+  return solution;
 }
 
 }  // namespace
@@ -352,12 +352,9 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   result.imu_model = options.method == Method::kJoint ? options.imu_model : ImuModel::kCalibrated;
   result.imus.resize(data[0].imus.size());
   result.sessions.resize(data.size());
-  if (result.imus.empty()) return CalibrateSensorsAlone(options, data, progress, std::move(result));
-
   std::vector<SessionData> of_sensors(data.size());
   for (size_t s = 0; s < data.size(); ++s) of_sensors[s].pose_sensors.swap(data[s].pose_sensors);
   std::vector<PreparedSession> sessions;
-  Estimate estimate;
   CalibrationOptions of_session = options;
   for (size_t s = 0; s < data.size(); ++s) {
     const Stage preparation(progress, InSession(s, data.size()) + "data and start");
@@ -368,29 +365,10 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
     // Initial values are those of the first IMU, these two of the first session.
     of_session.initial_time_shift.reset();
     of_session.initial_gravity.reset();
-    AddStart(Estimate(sessions[s], options.bias_knot_interval_s), &estimate);
   }
 
-  Solution solution;
-  if (options.method == Method::kJoint) {
-    solution = SolveTogether(options, &sessions, progress, &estimate, &result);
-  } else {
-    const Stage solve(progress, "calibration");
-    solution = SolveAgainstTrajectory(options, sessions, &estimate);
-    solve.End(solution.iterations);
-  }
-  const Stage verdict(progress, "sigmas and verdict");
-  ReportEstimate(estimate, sessions, &result);
-  ReportSensors(solution, &result);
-  if (options.method == Method::kGp)
-    for (size_t s = 0; s < sessions.size(); ++s)
-      result.sessions[s].rms = PoseResiduals(sessions[s]);
-  const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), &result);
-  GradeResult(options, marginals, &result);
-  WarnOfMisfit(marginals, &result);
-  DoubtResult(sessions, solution.has_settled, &result);
-  TestSessionAgreement(&result);
-  solution.estimate = std::move(estimate);
+  Solution solution = result.imus.empty() ? SolveNothing(sessions.size(), &result)
+                                          : SolveRig(options, progress, &sessions, &result);
   for (PreparedSession& session : sessions) {
     solution.trajectories.push_back(session.trajectory);
     solution.pose_epochs_ns.push_back(session.data.pose_epoch_ns);
@@ -398,7 +376,6 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   }
   result.solution = std::make_shared<const Solution>(std::move(solution));
   ReportClocks(result.solution, &result);
-  verdict.End();
   CalibrateSensors(options, of_sensors, progress, &result);
   return result;
 }

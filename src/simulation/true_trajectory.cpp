@@ -137,9 +137,7 @@ struct BodyRate {
   Vector3d u, du;
 
   BodyRate(const Vector3d& r, const Vector3d& dr, const Vector3d& ddr) {
-    const Matrix3d J = RightJacobian(r);
-    u = J * dr;
-    du = J * ddr + RightJacobianRate(r, dr) * dr;
+    CorrectionRate(r, dr, ddr, &u, &du);
   }
 };
 

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/verdict/doubts.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 

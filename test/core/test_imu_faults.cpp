@@ -8,7 +8,7 @@
 
 #include "faults.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 #include "imu_pose_calib/core/start/initializer.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"

@@ -53,7 +53,7 @@ struct Errors {
       const Eigen::Quaterniond q_WI = Eigen::Quaterniond(s.R_WM) * T_MI.q;
       const Eigen::Vector3d v_WI = s.v_W + s.R_WM * s.omega_M.cross(T_MI.p);
       Eigen::Matrix<double, 9, 1> e;
-      e << Log(Eigen::Quaterniond(q_WI.conjugate() * x->q_WI)), x->p_WI - s.p_WM - s.R_WM * T_MI.p,
+      e << Log(Eigen::Quaterniond(q_WI.conjugate() * x->q_WB)), x->p_WB - s.p_WM - s.R_WM * T_MI.p,
           x->v_W - v_WI;
       Eigen::Matrix<double, 9, 9> C;
       const int place[] = {0, 3, 9};
@@ -111,7 +111,7 @@ TEST(ImuTrackTest, IsTheMotionAndNotItsMeanByTheGyroscopesFilter) {
     if (!x) continue;
     const TrueState s = trajectory.At(1e-9 * static_cast<double>(epoch_ns) + instant.t);
     const Eigen::Quaterniond q_WI = Eigen::Quaterniond(s.R_WM) * truth.T_MI.q;
-    error2 += Log(Eigen::Quaterniond(q_WI.conjugate() * x->q_WI)).squaredNorm();
+    error2 += Log(Eigen::Quaterniond(q_WI.conjugate() * x->q_WB)).squaredNorm();
     count += 1.0;
   }
   EXPECT_LT(std::sqrt(error2 / count), 3e-4);
@@ -139,7 +139,7 @@ TEST(ImuTrackTest, CarriesAcrossGapsWithinItsSigmas) {
       const ImuState inside = *track.At(t + (t == gap.begin ? 1e-6 : -1e-6));
       const ImuState outside = *track.At(t + (t == gap.begin ? -1e-6 : 1e-6));
       ASSERT_TRUE(inside.is_carried && !outside.is_carried);
-      const Eigen::Vector3d step = inside.p_WI - outside.p_WI;
+      const Eigen::Vector3d step = inside.p_WB - outside.p_WB;
       EXPECT_LT(step.norm(), 3.0 * std::sqrt(outside.covariance.block<3, 3>(3, 3).trace()));
       // What the other end says, too, makes it no less certain.
       EXPECT_LT(inside.covariance(3, 3), 1.01 * outside.covariance(3, 3));
@@ -259,7 +259,7 @@ TEST_F(ImuTrackOfOneTest, StampsAreThoseOfEitherClock) {
   // Errors of the clock move what its stamps stand for.
   const double t = 7.0;
   const ImuState a = *on_imu.At(t), b = *on_poses.At(t);
-  EXPECT_EQ(a.p_WI, b.p_WI);
+  EXPECT_EQ(a.p_WB, b.p_WB);
   EXPECT_NE(a.covariance(3, 3), b.covariance(3, 3));
 }
 
@@ -332,7 +332,7 @@ TEST(ImuTrackTest, OfAGivenTrajectoryHasNoCovariance) {
   EXPECT_FALSE(track.has_covariance());
   const ImuState x = *track.At(7.0);
   EXPECT_TRUE(x.covariance.isZero(0.0));
-  EXPECT_LT((x.p_WI - TrueTrajectory(truth).At(7.0).p_WM).norm(), 0.2);
+  EXPECT_LT((x.p_WB - TrueTrajectory(truth).At(7.0).p_WM).norm(), 0.2);
 }
 
 }  // namespace

@@ -7,7 +7,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
-#include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {

@@ -6,7 +6,6 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/calibrator.h"
 #include "imu_pose_calib/core/data/conditioning.h"
-#include "imu_pose_calib/core/data/pose_updates.h"
 #include "imu_pose_calib/simulation/simulator.h"
 #include "test_util.h"
 

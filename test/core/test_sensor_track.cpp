@@ -123,8 +123,8 @@ class SensorTrackTest : public testing::Test {
       const Rigid3 T_WS =
           True(truth, trajectory,
                1e-9 * static_cast<double>(instant.stamp_ns - truth.start_ns) + clock_ahead);
-      ASSERT_LT((state->p_WI - T_WS.p).norm(), 3e-3) << instant.stamp_ns;
-      ASSERT_LT(T_WS.q.angularDistance(state->q_WI), 3e-3) << instant.stamp_ns;
+      ASSERT_LT((state->p_WB - T_WS.p).norm(), 3e-3) << instant.stamp_ns;
+      ASSERT_LT(T_WS.q.angularDistance(state->q_WB), 3e-3) << instant.stamp_ns;
     }
     EXPECT_GT(states + 5, instants.size());
   }
@@ -168,7 +168,7 @@ TEST_F(SensorTrackTest, CovarianceIsOfMarkerMountAndClock) {
   };
   const auto difference = [](const ImuState& a, const ImuState& b) {
     Eigen::Matrix<double, 12, 1> d;
-    d << Log(Quaterniond(a.q_WI.conjugate() * b.q_WI)), b.p_WI - a.p_WI, b.omega_I - a.omega_I,
+    d << Log(Quaterniond(a.q_WB.conjugate() * b.q_WB)), b.p_WB - a.p_WB, b.omega_B - a.omega_B,
         b.v_W - a.v_W;
     return d;
   };

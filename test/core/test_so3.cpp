@@ -31,6 +31,27 @@ void ForEachVector(uint32_t seed, const Check& check) {
   }
 }
 
+/// Right Jacobian: Exp(r + d) = Exp(r) Exp(J_r(r) d) to first order in d. For R = Exp(r) the body
+/// rate is omega = J_r(r) r'.
+template <typename T>
+Eigen::Matrix<T, 3, 3> RightJacobian(const Eigen::Matrix<T, 3, 1>& r) {
+  const internal::JacobianTerms<T> j(r.squaredNorm());
+  const Eigen::Matrix<T, 3, 3> H = Hat(r);
+  return Eigen::Matrix<T, 3, 3>::Identity() - j.b * H + j.c * H * H;
+}
+
+/// Time derivative of RightJacobian(r) when r changes at the rate r_dot. For R = Exp(r) the body
+/// angular acceleration is alpha = J_r(r) r'' + (d/dt J_r(r)) r'.
+template <typename T>
+Eigen::Matrix<T, 3, 3> RightJacobianRate(const Eigen::Matrix<T, 3, 1>& r,
+                                         const Eigen::Matrix<T, 3, 1>& r_dot) {
+  const internal::JacobianTerms<T> j(r.squaredNorm());
+  const T s_dot = T(2) * r.dot(r_dot);
+  const Eigen::Matrix<T, 3, 3> H = Hat(r);
+  const Eigen::Matrix<T, 3, 3> D = Hat(r_dot);
+  return -s_dot * j.db * H - j.b * D + s_dot * j.dc * H * H + j.c * (D * H + H * D);
+}
+
 TEST(Hat, IsTheCrossProduct) {
   std::mt19937 random(1);
   for (int i = 0; i < kAxes; ++i) {

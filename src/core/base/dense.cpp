@@ -104,11 +104,6 @@ Eigen::MatrixXd Solve(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B) {
   return C.ldlt().solve(B);
 }
 
-bool IsPositiveDefinite(const Eigen::MatrixXd& C) {
-  Eigen::MatrixXd L = C;
-  return Eigen::LLT<DenseRef>(L).info() == Eigen::Success;
-}
-
 Eigen::MatrixXd SolvePositive(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B) {
   Eigen::MatrixXd L = C;
   const Eigen::LLT<DenseRef> llt(L);

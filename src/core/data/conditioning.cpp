@@ -8,8 +8,7 @@
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/data/pose_updates.h"
-#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -76,14 +75,12 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
   std::vector<Sample> kept;
   const std::vector<StampFault> faults = JudgeStamps(Stamps(samples));
   size_t astray = 0, ahead = 0;
+  size_t* const of_fault[] = {nullptr, &astray, &ahead, &report->reversed_stamp};
   for (size_t i = 0; i < samples.size(); ++i) {
     const Sample& s = samples[i];
-    size_t* const count = !IsFinite(s)                         ? &report->not_finite
-                          : !HasRotation(s)                    ? &report->zero_quaternion
-                          : faults[i] == StampFault::kAstray   ? &astray
-                          : faults[i] == StampFault::kAhead    ? &ahead
-                          : faults[i] == StampFault::kReversed ? &report->reversed_stamp
-                                                               : nullptr;
+    size_t* count = of_fault[static_cast<int>(faults[i])];
+    if (!HasRotation(s)) count = &report->zero_quaternion;
+    if (!IsFinite(s)) count = &report->not_finite;
     if (count)
       ++*count;
     else

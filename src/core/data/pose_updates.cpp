@@ -1,10 +1,9 @@
-#include "imu_pose_calib/core/data/pose_updates.h"
-
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/data/conditioning.h"
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 
 namespace imu_pose_calib {

@@ -1,11 +1,10 @@
-#include "imu_pose_calib/core/data/segments.h"
-
 #include <algorithm>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -19,7 +18,8 @@ constexpr double kMotionFactor = 3.0;
 
 /// Longest time between two poses of a segment [s].
 double MaxGap(const CalibrationOptions& options, const ConditionedData& data) {
-  return options.max_gap_s > 0.0 ? options.max_gap_s : LongestStep(data.pose_report.rate_hz);
+  return options.max_gap_s > 0.0 ? options.max_gap_s
+                                 : std::max(0.1, 5.0 / data.pose_report.rate_hz);
 }
 
 bool IsLongEnough(const std::vector<TimedPose>& poses, IndexRange run, double min_segment_s) {

@@ -25,8 +25,7 @@ constexpr double kMinJumpCost = 2.0, kJumpScatters = 6.0;
 constexpr double kKnotSpacing = 10.0;
 constexpr double kRateStep = 1e-5;  // sigma of the change of the rate at a knot
 constexpr double kHuber = 1.5;      // sigma
-constexpr int kRounds = 15, kCounts = 2;
-constexpr double kSharpest = 0.02;  // a density is bounded by that of so much of the sigma
+constexpr int kRounds = 15;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr size_t kExcerpt = 20000;  // [samples] on which the period is sought
@@ -52,83 +51,76 @@ struct Period {
   double scatter = 0.0;
 };
 
-/// Of samples up to one: what counting `missing` frames costs at the least.
+/// Of samples up to one: what counting a number of missing frames costs at the least.
 struct State {
-  int missing;
-  int from;  ///< its place among the states of the sample before
-  double cost, level;
+  double cost = kInfinity, level = 0.0;
+  int from = 0;  ///< missing frames by the sample before
 };
 
-/// In increasing order, frames that may be missing by the next sample: those of the states, and
-/// others up to `due`, at which the sample has the latency of the level, but for `reach`.
-void FindCandidates(const std::vector<State>& states, double due, double reach,
-                    std::vector<int>* missing) {
-  missing->clear();
-  size_t k = 0;
-  for (int m = std::max(states[0].missing + 1, static_cast<int>(std::floor(due - reach)));
-       m <= static_cast<int>(std::ceil(due)); ++m) {
-    for (; k < states.size() && states[k].missing < m; ++k) missing->push_back(states[k].missing);
-    if (k == states.size() || states[k].missing > m) missing->push_back(m);
+/// The states of one sample, by missing frames: `first` and those that follow.
+struct States {
+  int first;
+  std::vector<State> by_missing;
+
+  State& operator[](int missing) { return by_missing[static_cast<size_t>(missing - first)]; }
+  int Best() const {
+    const auto is_less = [](const State& a, const State& b) { return a.cost < b.cost; };
+    const auto best = std::min_element(by_missing.begin(), by_missing.end(), is_less);
+    return first + static_cast<int>(best - by_missing.begin());
   }
-  for (; k < states.size(); ++k) missing->push_back(states[k].missing);
-}
+};
 
 /// The frames n_i of stamps t_i that minimise
 ///   sum_i cost(t_i / period - n_i - level_i) + jump_cost (number of n_i > n_(i-1) + 1)
-/// by a Viterbi search over the number of missing frames. The level follows the latency with a
-/// memory of so many samples, or stays at 0 when that is 0. Latencies beyond the reach of the cost
-/// [periods] cost the same. Without frames, at infinite cost, when it is more than `most`.
+/// by a Viterbi search over the number of missing frames, of at least kWindow stamps. The level
+/// follows the latency with a memory of so many samples, or stays at 0 when that is 0. Without
+/// frames, at infinite cost, when it is more than `most`.
 template <typename Cost>
 FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory, double jump_cost,
-                      double reach, const Cost& cost, double most = kInfinity) {
-  const auto latency = [&](size_t i) { return t[i] / period - static_cast<double>(i); };
-  std::vector<double> first;
-  for (size_t i = 0; i < std::min(kWindow, t.size()); ++i) first.push_back(latency(i));
-  const double level = memory > 0 ? Median(std::move(first)) : 0.0;
+                      const Cost& cost, double most = kInfinity) {
+  std::vector<double> latency;
+  for (size_t i = 0; i < t.size(); ++i) latency.push_back(t[i] / period - static_cast<double>(i));
+  const std::vector<double> first(latency.begin(), latency.begin() + kWindow);
+  const double level = memory > 0 ? Median(first) : 0.0;
   const double gain = memory > 0 ? 1.0 / static_cast<double>(memory) : 0.0;
-  std::vector<State> states, next;  // by missing frames
-  for (int m = -kLongest; m <= kLongest; ++m) states.push_back({m, 0, 0.0, level});
-  std::vector<std::pair<int, int>> paths;  // (missing, from) of all states
-  std::vector<size_t> first_path;          // of each sample
-  std::vector<int> candidates;
-  size_t best = kLongest;
+  std::vector<States> all;  // of each sample, but first those before any
+  all.push_back({-kLongest, std::vector<State>(2 * kLongest + 1, {0.0, level})});
   for (size_t i = 0; i < t.size(); ++i) {
+    States& last = all.back();
+    const int best = last.Best();
     // A jump is due when it brings the sample nearer to the level, else it may as well come later.
-    FindCandidates(states, latency(i) - states[best].level, reach, &candidates);
-    next.clear();
-    size_t k = 0, source = 0;  // the next state, the best one with fewer missing frames
-    double below = kInfinity, least = kInfinity;
-    for (const int m : candidates) {
-      const bool exists = k < states.size() && states[k].missing == m;
-      const bool stays = exists && states[k].cost <= states[source].cost + jump_cost;
-      const size_t from = stays ? k : source;
-      if (exists && states[k].cost < states[source].cost) source = k;
-      k += exists ? 1 : 0;
-      State state{m, static_cast<int>(from), states[from].cost, states[from].level};
-      const double r = latency(i) - m - state.level;
+    const int last_end = last.first + static_cast<int>(last.by_missing.size());
+    const int end =
+        std::max(last_end, 1 + static_cast<int>(std::ceil(latency[i] - last[best].level)));
+    States next{last.first, std::vector<State>(static_cast<size_t>(end - last.first))};
+    double below = kInfinity;
+    for (int m = last.first, source = m; m < end; ++m) {
+      const bool exists = m < last_end;
+      const bool stays = exists && last[m].cost <= last[source].cost + jump_cost;
+      State state = last[stays ? m : source];
+      state.from = stays ? m : source;  // the best one with fewer missing frames
+      if (exists && last[m].cost < last[source].cost) source = m;
+      const double r = latency[i] - m - state.level;
       state.cost += cost(r) + (stays ? 0.0 : jump_cost);
       state.level += gain * std::clamp(r, -1.0, 1.0);
       // Another with fewer missing frames can still jump here.
       if (state.cost >= below + jump_cost) continue;
       below = std::min(below, state.cost);
-      next.push_back(state);
+      next[m] = state;
     }
-    for (const State& state : next) least = std::min(least, state.cost);
-    if (least > most) return {{}, kInfinity};
-    states.clear();
-    first_path.push_back(paths.size());
-    for (const State& state : next) {
-      if (state.cost > least + kBeam) continue;
-      if (state.cost == least) best = states.size();
-      states.push_back(state);
-      paths.emplace_back(state.missing, state.from);
-    }
+    if (below > most) return {{}, kInfinity};
+    const auto is_near = [&](const State& state) { return state.cost <= below + kBeam; };
+    auto& states = next.by_missing;
+    const auto first_near = std::find_if(states.begin(), states.end(), is_near);
+    next.first += static_cast<int>(first_near - states.begin());
+    states.erase(states.begin(), first_near);
+    all.push_back(std::move(next));
   }
-  FrameCount count{std::vector<int64_t>(t.size()), states[best].cost};
+  int missing = all.back().Best();
+  FrameCount count{std::vector<int64_t>(t.size()), all.back()[missing].cost};
   for (size_t i = t.size(); i-- > 0;) {
-    const auto [missing, from] = paths[first_path[i] + best];
     count.frames[i] = static_cast<int64_t>(i) + missing;
-    best = static_cast<size_t>(from);
+    missing = all[i + 1][missing].from;
   }
   const int64_t start = count.frames.front();
   for (int64_t& frame : count.frames) frame -= start;
@@ -143,7 +135,7 @@ FrameCount CountFrames(const std::vector<double>& t, const Period& period, doubl
   const double reach = kLongest / factor;
   const double jump_cost = std::max(kMinJumpCost, kJumpScatters * period.scatter);
   return FindFrames(
-      t, factor * period.seconds, memory, jump_cost, reach,
+      t, factor * period.seconds, memory, jump_cost,
       [=](double r) { return factor * std::min(std::abs(r), reach); }, most);
 }
 
@@ -209,13 +201,12 @@ FrameCount CountAgain(const FrameCount& count, const std::vector<double>& latenc
   for (size_t i = 0; i < t.size(); ++i)
     t[i] = period.seconds * static_cast<double>(count.frames[i]) + latency[i];
   return FindFrames(t, period.seconds, 0, std::log(n / static_cast<double>(1 + count.Jumps())),
-                    kBin * (kBins - kZero), [&](double r) { return cost[bin(r)]; });
+                    [&](double r) { return cost[bin(r)]; });
 }
 
 /// Latency [s] of the stamps t [s] about a clock whose offset from period * frame is linear between
-/// knots: their mean, robust, or a quantile of them if it is not 0. Changes of the rate are few.
-std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& count, double period,
-                             double quantile = 0.0) {
+/// knots: of their mean, robust. Changes of the rate are few.
+std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& count, double period) {
   const auto samples = static_cast<Eigen::Index>(t.size());
   const auto n = static_cast<double>(count.frames.back());
   const auto intervals = static_cast<int>(std::max(1.0, std::round(n * period / kKnotSpacing)));
@@ -246,8 +237,6 @@ std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& cou
     const double sigma = std::max(RobustSigma(latency), 1e-4 * period);
     const auto weight = [&](Eigen::Index i) {
       const double size = std::abs(r[i]), own = i < samples ? sigma : bend_sigma;
-      if (i < samples && quantile != 0.0)
-        return (r[i] > 0.0 ? quantile : 1.0 - quantile) * sigma / std::max(size, kSharpest * sigma);
       return std::min(1.0, kHuber * own / (size + 1e-12)) * std::pow(sigma / own, 2);
     };
     const Eigen::VectorXd w = Eigen::VectorXd::NullaryExpr(y.size(), weight);
@@ -257,26 +246,6 @@ std::vector<double> FitClock(const std::vector<double>& t, const FrameCount& cou
     std::copy_n(r.data(), samples, latency.begin());
   }
   return latency;
-}
-
-/// The quantile of the latencies that is known best, from the density there; 0 for the mean. Of
-/// latencies that are often small and sometimes long it is a low one.
-double BestQuantile(std::vector<double> latency) {
-  const double sigma = RobustSigma(latency);
-  std::sort(latency.begin(), latency.end());
-  const auto at = [&](double quantile) {
-    return latency[static_cast<size_t>(quantile * static_cast<double>(latency.size() - 1))];
-  };
-  double best = 0.0, least = sigma;
-  for (const double quantile : {0.05, 0.1, 0.25, 0.75, 0.9, 0.95}) {
-    const double reach = 0.8 * std::min(quantile, 1.0 - quantile);
-    const double slope = (at(quantile + reach) - at(quantile - reach)) / (2.0 * reach);
-    const double std = std::sqrt(quantile * (1.0 - quantile)) * std::max(slope, kSharpest * sigma);
-    if (std >= least) continue;
-    least = std;
-    best = quantile;
-  }
-  return best;
 }
 
 /// Whether the missing frames are there: so few that a period is many sigma of the mean latency
@@ -299,18 +268,10 @@ bool RecoverRun(const Period& period, std::vector<double>* t) {
   if (t->size() < 2 * kWindow) return false;
   FrameCount count = CountFrames(*t, period);
   std::vector<double> latency = FitClock(*t, count, period.seconds);
-  for (int round = 0; round < kCounts; ++round) {
-    count = CountAgain(count, latency, period);
-    latency = FitClock(*t, count, period.seconds);
-  }
+  count = CountAgain(count, latency, period);
+  latency = FitClock(*t, count, period.seconds);
   if (!AreJumpsCredible(count, latency, period.seconds)) return false;
-  const std::vector<double> about_mean = latency;
-  const double quantile = BestQuantile(latency);
-  if (quantile != 0.0) latency = FitClock(*t, count, period.seconds, quantile);
-  double ahead = 0.0;  // of the mean, which the stamps agree with
-  for (size_t i = 0; i < t->size(); ++i)
-    ahead += (latency[i] - about_mean[i]) / static_cast<double>(t->size());
-  for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i] - ahead;
+  for (size_t i = 0; i < t->size(); ++i) (*t)[i] -= latency[i];
   return true;
 }
 

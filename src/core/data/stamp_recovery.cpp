@@ -130,7 +130,7 @@ StreamStamps Recover(StampRecovery mode, Stream* stream) {
         1e-9 * static_cast<double>(frames.t_ns[k] - (*recovered)[k]);
   const double jitter = std::sqrt((off - off.mean()).square().mean());
   result.even = jitter < 1e-9 * kEven * MedianStep(*recovered);
-  if (is_auto && (result.even || !IsSmoother(frames, *recovered))) return result;
+  if (is_auto && !IsSmoother(frames, *recovered)) return result;
   for (size_t i = 0; i < places.size(); ++i)
     if (faults[i] == StampFault::kNone) stream->t_ns[i] = (*recovered)[places[i]];
   result.recovered = true;

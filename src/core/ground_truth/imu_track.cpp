@@ -123,10 +123,10 @@ class Integrator {
     ImuState* x = &carried->state;
     // To third order for rates that change linearly.
     const Vector3d turn = 0.5 * dt * (a.omega + b.omega) + dt * dt / 12.0 * a.omega.cross(b.omega);
-    const Eigen::Quaterniond after = (x->q_WI * Exp<double>(turn)).normalized();
-    const Vector3d a_W = scale_ * (x->q_WI * a.f + g_W_), b_W = scale_ * (after * b.f + g_W_);
+    const Eigen::Quaterniond after = (x->q_WB * Exp<double>(turn)).normalized();
+    const Vector3d a_W = scale_ * (x->q_WB * a.f + g_W_), b_W = scale_ * (after * b.f + g_W_);
 
-    const Matrix3d R = (x->q_WI * Exp<double>(0.5 * turn)).toRotationMatrix();
+    const Matrix3d R = (x->q_WB * Exp<double>(0.5 * turn)).toRotationMatrix();
     const Vector3d omega = 0.5 * (a.omega + b.omega), f = 0.5 * (a.f + b.f);
     const Matrix3d accel_by_turn = -scale_ * R * Hat(f);
     MatrixXd F = MatrixXd::Identity(9, 9);
@@ -163,10 +163,11 @@ class Integrator {
     add_noise(6, 6, accel_density_ * dt);
 
     x->t += dt;
-    x->p_WI += dt * x->v_W + dt * dt / 6.0 * (2.0 * a_W + b_W);
+    x->p_WB += dt * x->v_W + dt * dt / 6.0 * (2.0 * a_W + b_W);
     x->v_W += 0.5 * dt * (a_W + b_W);
-    x->q_WI = after;
-    x->omega_I = b.omega;
+    x->q_WB = after;
+    x->omega_B = b.omega;
+    x->a_W = b_W;
     carried->by_both = Product(F, carried->by_both);
     carried->by_both.rightCols(kConstants) += G;
     carried->noise = Propagate(F, carried->noise) + Q;
@@ -236,7 +237,7 @@ std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTraj
   const RunEnd first = FindRunEnd(solution, trajectory, session, imu, begin);
   const RunEnd last = FindRunEnd(solution, trajectory, session, imu, end);
   std::vector<Carried> way(instants.size());
-  way[0].state = ImuState::Of(first.state, begin);
+  way[0].state = ImuState(first.state, begin);
   way[0].state.is_carried = true;
   for (size_t j = 1; j < way.size(); ++j) {
     way[j] = way[j - 1];
@@ -253,8 +254,8 @@ std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTraj
   h.rightCols(kConstants) -= gain;
   const MatrixXd S = Propagate(h, P) + there.noise + rest;
   Eigen::VectorXd distance(9);
-  distance << Log(Eigen::Quaterniond(there.state.q_WI.conjugate() * last.state.q_WB)),
-      last.state.p_WB - there.state.p_WI, last.state.v_W - there.state.v_W;
+  distance << Log(Eigen::Quaterniond(there.state.q_WB.conjugate() * last.state.q_WB)),
+      last.state.p_WB - there.state.p_WB, last.state.v_W - there.state.v_W;
   if (!(SquaredDistance(distance, S) < kMaxDistance2)) return {};
   const MatrixXd S_inverse = Inverse(S);
 
@@ -269,8 +270,8 @@ std::vector<ImuState> CarryAcrossGap(const Solution& solution, const SessionTraj
     states.push_back(here.state);
     ImuState& x = states.back();
     const Eigen::VectorXd error = Product(K, distance);
-    x.q_WI = (x.q_WI * Exp<double>(error.head<3>())).normalized();
-    x.p_WI += error.segment<3>(3);
+    x.q_WB = (x.q_WB * Exp<double>(error.head<3>())).normalized();
+    x.p_WB += error.segment<3>(3);
     x.v_W += error.tail<3>();
     const MatrixXd C = Propagate(A, P) + here.noise - Propagate(K, S);
     const int place[] = {0, 3, 9};  // of rotation, position and velocity
@@ -287,27 +288,18 @@ ImuState Interpolate(const ImuState& a, const ImuState& b, double t) {
   ImuState x;
   x.t = t;
   x.is_carried = true;
-  x.q_WI = a.q_WI.slerp(u, b.q_WI);
+  x.q_WB = a.q_WB.slerp(u, b.q_WB);
   // The cubic that has both positions and velocities.
-  x.p_WI = v * v * (1.0 + 2.0 * u) * a.p_WI + u * u * (1.0 + 2.0 * v) * b.p_WI +
+  x.p_WB = v * v * (1.0 + 2.0 * u) * a.p_WB + u * u * (1.0 + 2.0 * v) * b.p_WB +
            dt * u * v * (v * a.v_W - u * b.v_W);
   x.v_W = v * a.v_W + u * b.v_W;
-  x.omega_I = v * a.omega_I + u * b.omega_I;
+  x.omega_B = v * a.omega_B + u * b.omega_B;
+  x.a_W = v * a.a_W + u * b.a_W;
   x.covariance = v * a.covariance + u * b.covariance;
   return x;
 }
 
 }  // namespace
-
-ImuState ImuState::Of(const BodyState& body, double t) {
-  ImuState state;
-  state.t = t;
-  state.q_WI = body.q_WB;
-  state.p_WI = body.p_WB;
-  state.omega_I = body.omega_B;
-  state.v_W = body.v_W;
-  return state;
-}
 
 ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
                    const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
@@ -342,18 +334,11 @@ std::vector<ImuTrack::Instant> ImuTrack::Instants(double rate_hz) const {
   std::vector<Instant> instants;
   for (const TimedSample& s : Recorded().gyro)
     instants.push_back({Stamp(s.t), Clock().PoseTime(s.t)});
-  return EvenInstants(std::move(instants), rate_hz, [&](int64_t stamp_ns) {
-    const auto seconds = [&](int64_t epoch) {
-      return 1e-9 * static_cast<double>(stamp_ns - epoch);
-    };
-    return clock_ == TrackClock::kPoses ? seconds(trajectory_.epoch_ns())
-                                        : Clock().PoseTime(seconds(Recorded().epoch_ns));
-  });
+  return EvenInstants(instants, rate_hz);
 }
 
 std::optional<ImuState> ImuTrack::At(double t) const {
   ImuState state;
-  Vector3d acceleration = Vector3d::Zero();  // while carried
   const auto next_gap =
       std::upper_bound(gaps_.begin(), gaps_.end(), t,
                        [](double value, const TrackGap& gap) { return value <= gap.begin; });
@@ -364,11 +349,10 @@ std::optional<ImuState> ImuTrack::At(double t) const {
         std::upper_bound(carried.begin() + 1, carried.end() - 1, t,
                          [](double value, const ImuState& x) { return value < x.t; });
     state = Interpolate(*std::prev(after), *after, t);
-    acceleration = (after->v_W - std::prev(after)->v_W) / (after->t - std::prev(after)->t);
   } else if (const auto body = IsOnTrajectory(*solution_->trajectories[session_], t)
                                    ? trajectory_.Imu(imu_, t)
                                    : std::nullopt) {
-    state = ImuState::Of(*body, t);
+    state = ImuState(*body, t);
     if (const auto C = trajectory_.ImuCovariance(imu_, t, clock_ == TrackClock::kImu))
       state.covariance = C->topLeftCorner<12, 12>();
   } else {
@@ -380,8 +364,8 @@ std::optional<ImuState> ImuTrack::At(double t) const {
   state.covariance.block<3, 3>(6, 6) = gyro_noise_ * gyro_noise_ * Matrix3d::Identity() +
                                        state.bias_covariance.topLeftCorner<3, 3>();
   if (clock_ == TrackClock::kImu) {
-    Eigen::Matrix<double, 12, 1> rate = Eigen::Matrix<double, 12, 1>::Zero();
-    rate << state.omega_I, state.v_W, Vector3d::Zero(), acceleration;
+    Eigen::Matrix<double, 12, 1> rate;
+    rate << state.omega_B, state.v_W, Vector3d::Zero(), state.a_W;
     state.covariance += trajectory_.ClockVariance(imu_, t) * rate * rate.transpose();
   }
   return state;
@@ -397,14 +381,19 @@ std::vector<ImuTrack::Sample> ImuTrack::Samples() const {
   return samples;
 }
 
-std::vector<ImuTrack::Instant> EvenInstants(std::vector<ImuTrack::Instant> recorded, double rate_hz,
-                                            const std::function<double(int64_t stamp_ns)>& t) {
-  if (rate_hz == 0.0) return recorded;
+std::vector<ImuTrack::Instant> EvenInstants(const std::vector<ImuTrack::Instant>& recorded,
+                                            double rate_hz) {
+  if (rate_hz == 0.0 || recorded.size() < 2) return recorded;
   const int64_t first = recorded.front().stamp_ns, last = recorded.back().stamp_ns;
   std::vector<ImuTrack::Instant> even;
+  auto next = recorded.begin() + 1;
   for (int64_t stamp = first; stamp <= last;
-       stamp = first + std::llround(1e9 * static_cast<double>(even.size()) / rate_hz))
-    even.push_back({stamp, t(stamp)});
+       stamp = first + std::llround(1e9 * static_cast<double>(even.size()) / rate_hz)) {
+    while (next->stamp_ns < stamp) ++next;
+    const ImuTrack::Instant &a = *std::prev(next), &b = *next;
+    const double u = static_cast<double>(stamp - a.stamp_ns);
+    even.push_back({stamp, a.t + u / static_cast<double>(b.stamp_ns - a.stamp_ns) * (b.t - a.t)});
+  }
   return even;
 }
 

@@ -7,7 +7,7 @@
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/pose_sensor/sensor_problem.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
-#include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -33,15 +33,11 @@ std::vector<TimedSample> TurnRates(const PoseTrajectory& trajectory) {
 /// Conditions the poses of a session and finds its clock; returns how R_MS explains its rates.
 RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory& marker,
                            const std::vector<PoseSample>& poses, SensorSession* session) {
-  CalibrationOptions options;
-  options.max_gap_s = given.max_gap_s;
-  options.min_segment_s = given.min_segment_s;
-  options.min_overlap_s = given.min_overlap_s;
-  options.max_bad_fraction = given.max_bad_fraction;
-  options.outlier_threshold = given.outlier_threshold;
-  options.recover_stamps = given.recover_stamps;
-  options.num_threads = given.num_threads;
+  CalibrationOptions options = given;  // those of the marker's poses aside
   options.invert_poses = given.invert_sensor_poses;
+  options.position_unit = 1.0;
+  options.position_lengthscale_s = options.position_signal_std = options.position_noise_std = 0.0;
+  options.rotation_lengthscale_s = options.rotation_signal_std = options.rotation_noise_std = 0.0;
   SessionData data;
   data.poses = poses;
   data.imus.clear();
@@ -59,19 +55,12 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
   const std::vector<TimedSample> rates = TurnRates(trajectory);
   const std::vector<double> shifts = FindTimeShifts(marker, rates, options.min_overlap_s,
                                                     std::nullopt, kCandidates, options.Threads());
-  RateAlignment best = AlignRates(marker, rates, shifts, false, options.Threads());
+  const RateAlignment best = MatchRates(marker, rates, shifts,
+                                        {"the marker and the sensor", "the sensor's",
+                                         "invert_sensor_poses", given.invert_sensor_poses},
+                                        options.Threads());
   session->clock.time_shift = best.time_shift;
-  if (best.explained >= kMinExplained) return best;
-  const double inverted = AlignRates(marker, rates, shifts, true, options.Threads()).explained;
-  const char* const agree = "the turn rates of the marker and the sensor agree ";
-  if (inverted >= kMinExplained)
-    Throw<OptionNeeded>(agree,
-                        "only when the sensor's poses are inverted: set invert_sensor_poses: ",
-                        given.invert_sensor_poses ? "false" : "true");
-  Throw<DataError>(agree, "at no time shift (best explains ",
-                   Number(100.0 * std::max(0.0, best.explained), "%.0f"),
-                   " % of them, bound: ", 100.0 * kMinExplained,
-                   " %): do both recordings overlap, and are both of the same rigid body?");
+  return best;
 }
 
 /// Begins a piece where V jumps (relocalisation): as the medians of the poses before and after see

@@ -52,18 +52,14 @@ std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
     const double t = pose.t - Seconds(epoch_ns);
     instants.push_back({is_own_clock ? pose.stamp_ns : epoch_ns + std::llround(1e9 * t), t});
   }
-  const ImuTrack::Instant first = instants.front();
-  const double pace = is_own_clock ? 1.0 + Own().clock_drift : 1.0;
-  return EvenInstants(std::move(instants), rate_hz, [&](int64_t stamp_ns) {
-    return first.t + pace * Seconds(stamp_ns - first.stamp_ns);
-  });
+  return EvenInstants(instants, rate_hz);
 }
 
 std::optional<ImuState> SensorTrack::At(double t) const {
   SessionTrajectory::StateJacobian J;
   const auto sensor = trajectory_.Body(sensor_.T_MS, t, has_covariance() ? &J : nullptr);
   if (!sensor) return std::nullopt;
-  ImuState state = ImuState::Of(*sensor, t);
+  ImuState state(*sensor, t);
   if (!has_covariance()) return state;
   // By p_MS and the rotation of R_MS about the sensor's axes.
   Eigen::Matrix<double, 12, 6> by_mount = J.topRightCorner<12, 6>();

@@ -52,9 +52,10 @@ struct Tails {
 /// A random walk through local offsets whose variances are known up to a factor.
 struct Walk {
   double log_likelihood = -std::numeric_limits<double>::infinity();
-  double scale2 = 1.0;             ///< that factor
-  double density2 = 0.0;           ///< in units of scale2
-  std::vector<double> offset;      ///< [s] smoothed
+  double scale2 = 1.0;                  ///< that factor
+  double density2 = 0.0;                ///< in units of scale2
+  double drift = 0.0, drift_std = 0.0;  ///< [s/s]
+  std::vector<double> offset;           ///< [s] smoothed
   std::vector<double> increment2;  ///< expected squares of the increments less the drift, and of
   std::vector<double> error2;      ///< the local offsets' errors, in usual variances
 };
@@ -163,6 +164,8 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, double density2) {
   if (count < 1.0) return walk;
   walk.scale2 = sum / count;
   walk.log_likelihood = -0.5 * (count * std::log(walk.scale2) + log_variance);
+  walk.drift = x[n - 1][1];
+  walk.drift_std = std::sqrt(walk.scale2 * P[n - 1](1, 1));
   walk.offset.resize(n);
   walk.increment2.resize(n - 1);
   walk.error2.assign(n, 1.0);
@@ -184,13 +187,15 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, double density2) {
   return walk;
 }
 
-/// The likeliest walk of these densities [s/sqrt(s)]; 0: of none.
-Walk FindWalk(const LocalOffsets& local, const std::vector<double>& densities, Tails* tails) {
+/// The likeliest walk, or line.
+Walk FindWalk(const LocalOffsets& local, bool is_line, Tails* tails) {
   Walk best;
   for (int iteration = 0; iteration < kReweightings; ++iteration) {
     best = Walk();
-    for (const double density : densities) {
-      Walk walk = Smooth(local, *tails, density * density);
+    for (int k = 0; k < (is_line ? 1 : kDensities); ++k) {
+      const double density =
+          kLeastDensity * std::pow(kMostDensity / kLeastDensity, k / (kDensities - 1.0));
+      Walk walk = Smooth(local, *tails, is_line ? 0.0 : density * density);
       if (walk.log_likelihood > best.log_likelihood) best = std::move(walk);
     }
     if (best.offset.empty()) return best;
@@ -230,48 +235,64 @@ size_t FindStep(const PoseTrajectory& trajectory, const std::vector<TimedSample>
   return best;
 }
 
+/// No walk, at knots over the samples.
+ClockWalk EvenKnots(const std::vector<TimedSample>& gyro, double reference) {
+  const double before = std::ceil((reference - gyro.front().t) / kInterval);
+  const double after = std::ceil((gyro.back().t - reference) / kInterval);
+  ClockWalk walk;
+  walk.reference = static_cast<size_t>(before);
+  for (double k = -before; k <= after; ++k) walk.t.push_back(reference + kInterval * k);
+  walk.offset.assign(walk.t.size(), 0.0);
+  return walk;
+}
+
+/// A knot of a walk and what comes after it.
+struct Knot {
+  double t, offset, std;
+  bool steps;
+};
+
 /// Puts two knots for each step between the samples that it parts, of which the walk so far is a
 /// ramp over some knots. `increment_std`: of the walk beside them, over kInterval.
 void CutAtSteps(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
                 const ClockLine& line, const RateAlignment& alignment,
                 const std::vector<double>& tails, double increment_std, ClockWalk* walk) {
-  const ClockWalk ramps = *walk;
-  const auto rise = [&](size_t k) { return std::abs(ramps.offset[k + 1] - ramps.offset[k - 1]); };
-  for (size_t k = 1; k + 1 < ramps.t.size(); ++k) {
+  const std::vector<double>&t = walk->t, &offset = walk->offset;
+  const size_t last = t.size() - 1;
+  std::vector<Knot> knots;
+  for (size_t k = 0; k <= last; ++k)
+    knots.push_back({t[k], offset[k], k < last ? walk->std[k] : 0.0, false});
+  const auto rise = [&](size_t k) {
+    return k == 0 || k == last ? 0.0 : std::abs(offset[k + 1] - offset[k - 1]);
+  };
+  for (size_t k = 1; k < last; ++k) {
     // The window of knot k has the step: the walk rises before and after it.
     if (std::max(tails[k - 1], tails[k]) < kStep * kStep || rise(k) < kLeastStep) continue;
-    if ((k > 1 && rise(k - 1) > rise(k)) || (k + 2 < ramps.t.size() && rise(k + 1) >= rise(k)))
-      continue;
-    const double before = ramps.offset[k - 1], after = ramps.offset[k + 1];
+    if (rise(k - 1) > rise(k) || rise(k + 1) >= rise(k)) continue;
+    const double before = offset[k - 1], after = offset[k + 1];
     const size_t sample =
-        FindStep(trajectory, gyro, line, alignment, ramps.t[k - 1], ramps.t[k + 1], before, after);
+        FindStep(trajectory, gyro, line, alignment, t[k - 1], t[k + 1], before, after);
     if (sample + 1 >= gyro.size()) continue;
-    // Between the samples, on which other knots may lie.
-    const double u = 0.25, begin = (1.0 - u) * gyro[sample].t + u * gyro[sample + 1].t;
-    const double end = u * gyro[sample].t + (1.0 - u) * gyro[sample + 1].t;
-    const auto place = std::upper_bound(walk->t.begin(), walk->t.end(), begin);
-    const auto at = static_cast<size_t>(place - walk->t.begin());
-    if (at == 0 || at + 1 >= walk->t.size()) continue;
-    if (walk->t[at] <= end) {  // a knot that the step leaves out
-      if (at == walk->reference) continue;
-      for (auto* values : {&walk->t, &walk->offset, &walk->std})
-        values->erase(values->begin() + static_cast<ptrdiff_t>(at));
-      if (at < walk->reference) --walk->reference;
-    }
-    for (size_t i = 0; i + 1 < walk->t.size(); ++i) {
-      if (walk->t[i] < ramps.t[k - 1] || walk->t[i] > ramps.t[k]) continue;
-      if (walk->t[i] == ramps.t[k]) walk->offset[i] = i < at ? before : after;
-      walk->std[i] = increment_std;
-    }
-    const auto insert = [at](auto* values, auto first, auto second) {
-      values->insert(values->begin() + static_cast<ptrdiff_t>(at), {first, second});
-    };
-    insert(&walk->t, begin, end);
-    insert(&walk->offset, before, after);
-    insert(&walk->std, std::abs(after - before), increment_std);
-    if (at <= walk->reference) walk->reference += 2;
-    walk->steps.push_back(at);
+    // Between the samples, and beside the knot that may lie there.
+    const double next = gyro[sample + 1].t;
+    const double begin = t[k] < next ? std::max(gyro[sample].t, t[k]) : gyro[sample].t;
+    const double u = 0.25 * (next - begin);
+    knots[k - 1].std = knots[k].std = increment_std;
+    knots[k].offset = t[k] <= begin ? before : after;
+    knots.push_back({begin + u, before, std::abs(after - before), true});
+    knots.push_back({next - u, after, increment_std, false});
   }
+  std::sort(knots.begin(), knots.end(), [](const Knot& a, const Knot& b) { return a.t < b.t; });
+  ClockWalk cut;
+  for (const Knot& knot : knots) {
+    if (knot.steps) cut.steps.push_back(cut.t.size());
+    if (knot.t == line.clock_reference) cut.reference = cut.t.size();
+    cut.t.push_back(knot.t);
+    cut.offset.push_back(knot.offset);
+    cut.std.push_back(knot.std);
+  }
+  cut.std.pop_back();
+  *walk = std::move(cut);
 }
 
 }  // namespace
@@ -288,43 +309,42 @@ double ClockWalk::At(double instant) const {
   return (1.0 - u) * offset[k] + u * offset[k + 1];
 }
 
-ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                       ClockLine* line) {
-  const auto knots = [&](double t) {
-    return static_cast<size_t>(std::ceil(std::abs(t - line->clock_reference) / kInterval));
-  };
-  ClockWalk walk;
-  walk.reference = knots(gyro.front().t);
-  const size_t count = walk.reference + knots(gyro.back().t) + 1;
-  if (count < 5) return {};
-  for (size_t k = 0; k < count; ++k)
-    walk.t.push_back(line->clock_reference +
-                     kInterval * (static_cast<double>(k) - static_cast<double>(walk.reference)));
-  walk.offset.assign(count, 0.0);
-  std::vector<double> densities;
-  for (int k = 0; k < kDensities; ++k)
-    densities.push_back(kLeastDensity *
-                        std::pow(kMostDensity / kLeastDensity, k / (kDensities - 1.0)));
+ClockFit FitClock(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                  const ClockLine& about, bool may_wander) {
+  ClockFit fit;
+  fit.time_shift = about.time_shift;
+  ClockWalk walk = EvenKnots(gyro, about.clock_reference);
+  const size_t count = walk.t.size();
   Tails tails{std::vector<double>(count - 1, 1.0), std::vector<double>(count, 1.0)};
   Tails of_line = tails;
   Walk found;
   RateAlignment alignment;
+  bool wanders = may_wander && count >= 5;
   for (int round = 0; round < kRounds; ++round) {
-    const LocalOffsets local = FindLocal(Compare(trajectory, gyro, *line, walk, &alignment), walk);
-    found = FindWalk(local, densities, &tails);
-    if (found.offset.empty()) return {};
-    if (round == 0 &&
-        found.log_likelihood < FindWalk(local, {0.0}, &of_line).log_likelihood + kEvidence)
-      return {};
+    const LocalOffsets local = FindLocal(Compare(trajectory, gyro, about, walk, &alignment), walk);
+    fit.explained = alignment.explained;
+    if (wanders) found = FindWalk(local, false, &tails);
+    Walk line;
+    if (round == 0 || !wanders) line = FindWalk(local, true, &of_line);
+    if (wanders && round == 0) wanders = found.log_likelihood >= line.log_likelihood + kEvidence;
+    if (!wanders) found = std::move(line);
+    if (found.offset.empty()) return fit;
     walk.offset = found.offset;
   }
-  const double usual = std::sqrt(found.scale2 * found.density2 * kInterval);
-  for (size_t k = 0; k + 1 < count; ++k) walk.std.push_back(usual * std::sqrt(tails.increments[k]));
-  CutAtSteps(trajectory, gyro, *line, alignment, tails.increments, usual, &walk);
+  fit.clock_drift = found.drift;
+  fit.clock_drift_std = found.drift_std;
+  if (wanders) {
+    const double usual = std::sqrt(found.scale2 * found.density2 * kInterval);
+    for (size_t k = 0; k + 1 < count; ++k)
+      walk.std.push_back(usual * std::sqrt(tails.increments[k]));
+    CutAtSteps(trajectory, gyro, about, alignment, tails.increments, usual, &walk);
+  }
   const double shift = walk.offset[walk.reference];
+  fit.time_shift += shift;
+  if (!wanders) return fit;
   for (double& offset : walk.offset) offset -= shift;
-  line->time_shift += shift;
-  return walk;
+  fit.walk = std::move(walk);
+  return fit;
 }
 
 }  // namespace imu_pose_calib

@@ -10,14 +10,12 @@
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 #include "imu_pose_calib/core/start/rate_alignment.h"
 
 namespace imu_pose_calib {
 namespace {
 
-/// Unexplained share of the motion of a flipped segment; of another reading over the one as given.
-constexpr double kFlipped = 0.25;
 constexpr double kFlipFactor = 25.0;       // its mean square residual over that of the others
 constexpr double kMinAgreement = 0.6;      // of the motion, on one rotation
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
@@ -26,31 +24,7 @@ constexpr double kDelaySearch = 0.1;       // [s] to either side
 constexpr double kDelayResolution = 2e-4;  // [s]
 constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
 
-/// Throws when inverted poses explain the gyroscope far better. Quaternions whose w comes first,
-/// read as if it came last, turn like inverted ones: up to fixed rotations of W and M the two are
-/// the same.
-void CheckPoseReading(const CalibrationOptions& options, const PoseTrajectory& trajectory,
-                      const std::vector<TimedSample>& gyro, const std::vector<double>& time_shifts,
-                      const RateAlignment& as_given) {
-  const double explained =
-      AlignRates(trajectory, gyro, time_shifts, true, options.Threads()).explained;
-  if (1.0 - explained > kFlipped * (1.0 - as_given.explained)) return;
-  Throw<OptionNeeded>(
-      std::setprecision(3),
-      "the turn rates of poses and gyroscope agree only when the poses are inverted (explains ",
-      100.0 * explained, " % of the gyroscope's variance, as given ",
-      100.0 * std::max(0.0, as_given.explained),
-      " %): if they are the world seen from the marker, set invert_poses: ",
-      options.invert_poses ? "false" : "true",
-      "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w");
-}
-
-void CheckRates(const RateAlignment& best) {
-  if (best.explained < kMinExplained)
-    Throw<DataError>("the turn rates of poses and gyroscope agree at no time shift (best explains ",
-                     100.0 * std::max(0.0, best.explained),
-                     " % of the gyroscope's variance, bound: ", 100.0 * kMinExplained,
-                     " %): do both recordings overlap, and are both of the same rigid body?");
+void CheckUnit(const RateAlignment& best) {
   if (best.scale > 0.5 && best.scale < 2.0) return;
   const bool is_degrees = best.scale > 40.0 && best.scale < 80.0;
   Throw<OptionNeeded>("gyroscope: its rates are ", best.scale,
@@ -159,7 +133,7 @@ struct LeverArmEquations {
     A.diagonal().segment<3>(6).setConstant(1.0 / (kAccelBiasPrior * kAccelBiasPrior));
     for (size_t i = 0; i < accel.size(); i += stride) {
       MarkerState<double> state;
-      const double t = accel[i].t + start.walk.At(accel[i].t);
+      const double t = accel[i].t + start.clock.walk.At(accel[i].t);
       if (!trajectory.Evaluate(t + start.time_shift - delay, &state)) continue;
       const Eigen::Matrix3d R_MW = state.q_WM.conjugate().toRotationMatrix();
       const Eigen::Matrix3d W = Hat(state.omega_M);
@@ -206,7 +180,7 @@ void CheckPositionUnit(const LeverArmEquations& equations) {
 
 void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* trajectory,
                            ConditionedData* data) {
-  if (data->segments.size() < 2) return;
+  if (data->segments.size() < 2 || data->imus.empty()) return;
   const size_t first = data->FirstImu();
   const ConditionedImu& imu = data->imus[first];
   const std::vector<double> shifts = CandidateShifts(options, *trajectory, *data, first);
@@ -215,9 +189,8 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
     agreements[k] = FindAgreement(PairRatesBySegment(*trajectory, *data, imu, shifts[k]));
   });
   RotationAgreement best;
-  for (const RotationAgreement& agreement : agreements) {
+  for (const RotationAgreement& agreement : agreements)
     if (agreement.explained * agreement.agreeing > best.explained * best.agreeing) best = agreement;
-  }
   if (best.agreeing < 0.5 * kMinAgreement || best.explained < kMinExplained) return;  // S2 says why
   if (best.agreeing < kMinAgreement)
     Throw<DataError>(
@@ -264,21 +237,20 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
                  const ConditionedData& data, size_t imu) {
   const ConditionedImu& samples = data.imus[imu];
   const std::vector<double> shifts = CandidateShifts(options, trajectory, data, imu);
-  const RateAlignment best = AlignRates(trajectory, samples.gyro, shifts, false, options.Threads());
-  CheckPoseReading(options, trajectory, samples.gyro, shifts, best);
-  CheckRates(best);
+  const RateAlignment best =
+      MatchRates(trajectory, samples.gyro, shifts,
+                 {"poses and gyroscope", "the gyroscope's", "invert_poses", options.invert_poses},
+                 options.Threads());
+  CheckUnit(best);
   Start start;
-  start.time_shift = best.time_shift;
   // What is estimated starts where the data put it, which no guess can better.
   start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
-  if (options.method == Method::kJoint && options.estimate_clock_walk &&
-      options.estimate_time_shift) {
-    ClockLine line{start.time_shift, 0.0, samples.MiddleOfGyro()};
-    start.walk = FitClockWalk(trajectory, samples.gyro, &line);
-    start.time_shift = line.time_shift;
-  }
+  const bool may_wander = options.method == Method::kJoint && options.estimate_clock_walk;
+  start.clock = FitClock(trajectory, samples.gyro, {best.time_shift, 0.0, samples.MiddleOfGyro()},
+                         may_wander && options.estimate_time_shift);
+  start.time_shift = start.clock.walk.IsLine() ? best.time_shift : start.clock.time_shift;
   FitLeverArm(trajectory, samples.accel, options.GravityMagnitude(), options.estimate_accel_delay,
               options.Threads(), &start);
   if (!options.estimate_translation) start.p_MI = *options.initial_translation;

@@ -49,12 +49,12 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
   prepared.trajectory = std::make_shared<const PoseTrajectory>(std::move(trajectory));
   CheckMotion(options, prepared.data, *prepared.trajectory, check);
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
-  if (options.estimate_translation && options.estimate_rotation) CheckTurns(*prepared.trajectory);
+  const bool is_free = options.estimate_translation && options.estimate_rotation;
+  if (is_free || prepared.data.imus.empty()) CheckTurns(*prepared.trajectory);
   for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
-    if (is_present)
-      CheckMatch(options, prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
+    if (is_present) CheckMatch(options, prepared.data, prepared.starts[i], i, check);
   }
   return prepared;
 }

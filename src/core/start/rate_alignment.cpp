@@ -1,6 +1,6 @@
 #include "imu_pose_calib/core/start/rate_alignment.h"
 
-#include <Eigen/SVD>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -106,27 +107,21 @@ RateAlignment AlignRates(const std::vector<RatePair>& pairs) {
   RateAlignment alignment;
   alignment.count = pairs.size();
   if (pairs.size() < 10) return alignment;
-  Eigen::Vector3d mean_M = Eigen::Vector3d::Zero(), mean_I = Eigen::Vector3d::Zero();
-  for (const RatePair& pair : pairs) {
-    mean_M += pair.omega_M / static_cast<double>(pairs.size());
-    mean_I += pair.gyro_I / static_cast<double>(pairs.size());
+  Eigen::Matrix3Xd marker(3, pairs.size()), gyro(3, pairs.size());
+  for (size_t i = 0; i < pairs.size(); ++i) {
+    marker.col(static_cast<Eigen::Index>(i)) = pairs[i].omega_M;
+    gyro.col(static_cast<Eigen::Index>(i)) = pairs[i].gyro_I;
   }
-  Eigen::Matrix3d H = Eigen::Matrix3d::Zero();
-  double sum_M = 0.0, sum_I = 0.0;
-  for (const RatePair& pair : pairs) {
-    H += (pair.omega_M - mean_M) * (pair.gyro_I - mean_I).transpose();
-    sum_M += (pair.omega_M - mean_M).squaredNorm();
-    sum_I += (pair.gyro_I - mean_I).squaredNorm();
-  }
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(H, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  const Eigen::Vector3d signs(1.0, 1.0, (svd.matrixU() * svd.matrixV()).determinant());
-  const Eigen::Matrix3d R_MI = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
-  alignment.q_MI = Eigen::Quaterniond(R_MI);
-  alignment.gyro_bias = mean_I - R_MI.transpose() * mean_M;
+  const Eigen::Isometry3d T_MI(Eigen::umeyama(gyro, marker, false));
+  alignment.q_MI = Eigen::Quaterniond(T_MI.linear());
+  alignment.gyro_bias = T_MI.inverse().translation();
+  marker.colwise() -= marker.rowwise().mean().eval();
+  gyro.colwise() -= gyro.rowwise().mean().eval();
+  const double sum_M = marker.squaredNorm(), sum_I = gyro.squaredNorm();
   alignment.scale = std::sqrt(sum_I / std::max(sum_M, 1e-12));
   // |gyro - R^T omega|^2 with the gyro scaled to the marker's size: 1 - correlation^2.
   const double correlation =
-      (R_MI.transpose() * H).trace() / std::sqrt(std::max(sum_M * sum_I, 1e-24));
+      marker.cwiseProduct(T_MI.linear() * gyro).sum() / std::sqrt(std::max(sum_M * sum_I, 1e-24));
   alignment.explained = correlation * std::abs(correlation);
   return alignment;
 }
@@ -195,6 +190,29 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<Tim
       all.begin(), all.end(),
       [&](const RateAlignment& a, const RateAlignment& b) { return evidence(a) < evidence(b); });
   return best == all.end() ? RateAlignment() : *best;
+}
+
+RateAlignment MatchRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                         const std::vector<double>& time_shifts, const RatesInWords& words,
+                         int threads) {
+  const RateAlignment best = AlignRates(trajectory, gyro, time_shifts, false, threads);
+  const double inverted = AlignRates(trajectory, gyro, time_shifts, true, threads).explained;
+  const auto percent = [](double share) { return Number(100.0 * std::max(0.0, share), "%.3g"); };
+  // Quaternions whose w comes first, read as if it came last, turn like inverted ones: up to fixed
+  // rotations of W and M the two are the same.
+  if (1.0 - inverted <= kFlipped * (1.0 - best.explained))
+    Throw<OptionNeeded>(
+        "the turn rates of ", words.both, " agree only when the poses are inverted (explains ",
+        percent(inverted), " % of ", words.whose, " variance, as given ", percent(best.explained),
+        " %): if they are the world seen from the body, set ", words.invert, ": ",
+        words.is_inverted ? "false" : "true",
+        "; if the source writes quaternions as w, x, y, z, let it write x, y, z, w");
+  if (best.explained < kMinExplained)
+    Throw<DataError>("the turn rates of ", words.both, " agree at no time shift (best explains ",
+                     percent(best.explained), " % of ", words.whose,
+                     " variance, bound: ", percent(kMinExplained),
+                     " %): do both recordings overlap, and are both of the same rigid body?");
+  return best;
 }
 
 }  // namespace imu_pose_calib

@@ -228,23 +228,11 @@ GaussianProcess::GaussianProcess(const GpData& data, const GpHyperparameters& h,
   for (Eigen::MatrixXd& block : covariance_) block *= weight_std * weight_std;
 }
 
-GaussianProcess::Derivatives GaussianProcess::Mean(
-    int bump, const Eigen::Ref<const Eigen::Matrix4Xd>& bumps) const {
-  Derivatives mean = Derivatives::Zero();
-  AddProduct(1.0, weights_.middleCols<kSupport>(bump), bumps, false, mean);
-  return mean;
-}
-
 GaussianProcess::Derivatives GaussianProcess::Evaluate(double t) const {
   const int j = FirstBump(grid_, t);
-  return Mean(j, Bumps(grid_, j, t));
-}
-
-std::pair<GaussianProcess::Derivatives, GaussianProcess::Derivatives> GaussianProcess::Evaluate(
-    const GaussianProcess& a, const GaussianProcess& b, double t) {
-  const int j = FirstBump(a.grid_, t);
-  const BumpDerivatives bumps = Bumps(a.grid_, j, t);
-  return {a.Mean(j, bumps), a.grid_ == b.grid_ ? b.Mean(j, bumps) : b.Evaluate(t)};
+  Derivatives mean = Derivatives::Zero();
+  AddProduct(1.0, weights_.middleCols<kSupport>(j), Bumps(grid_, j, t), false, mean);
+  return mean;
 }
 
 Eigen::Vector4d GaussianProcess::Value(double t, double* variance) const {

@@ -7,7 +7,7 @@
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
-#include "imu_pose_calib/core/data/segments.h"
+#include "imu_pose_calib/core/data/conditioned_data.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -16,7 +16,6 @@ constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
 constexpr int kMaxRounds = 6;
-constexpr int kSpikeRounds = 3;
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
 
@@ -148,9 +147,9 @@ std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>
   for (const IndexRange& segment : segments) {
     for (size_t i = segment.begin + 1; i + 1 < segment.end; ++i) {
       const double u = (poses[i].t - poses[i - 1].t) / (poses[i + 1].t - poses[i - 1].t);
-      const Eigen::Vector3d p = (1.0 - u) * poses[i - 1].p_WM + u * poses[i + 1].p_WM;
-      const Eigen::Quaterniond q = poses[i - 1].q_WM.slerp(u, poses[i + 1].q_WM);
-      distances[i] << (poses[i].p_WM - p).norm(), poses[i].q_WM.angularDistance(q);
+      const Rigid3 middle = Interpolate({poses[i - 1].q_WM, poses[i - 1].p_WM},
+                                        {poses[i + 1].q_WM, poses[i + 1].p_WM}, u);
+      distances[i] << (poses[i].p_WM - middle.p).norm(), poses[i].q_WM.angularDistance(middle.q);
     }
   }
   return distances;
@@ -159,7 +158,7 @@ std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>
 /// Removes single poses far off their neighbours before a likelihood sees them: they would make it
 /// believe in noise, or in motion at the rate of the samples, and cost it a long search.
 void RemoveSpikes(double threshold, ConditionedData* data) {
-  for (int round = 0; round < kSpikeRounds; ++round) {
+  for (;;) {
     const std::vector<Eigen::Vector2d> distances =
         DistanceFromNeighbours(data->poses, data->segments);
     std::vector<bool> spikes = FindOutliers(distances, data->poses, kSpikeThreshold * threshold,
@@ -242,8 +241,8 @@ bool PoseTrajectory::Evaluate(double t, MarkerState<double>* state,
                               MarkerState<double>* rate) const {
   const Segment* segment = Find(t);
   if (segment == nullptr) return false;
-  const auto [p, q] = GaussianProcess::Evaluate(segment->position, segment->quaternion, t);
-  FindRotation(q, state, rate);
+  const GaussianProcess::Derivatives p = segment->position.Evaluate(t);
+  FindRotation(segment->quaternion.Evaluate(t), state, rate);
   state->p_WM = origin_W_ + p.col(0).head<3>();
   state->v_W = p.col(1).head<3>();
   state->a_W = p.col(2).head<3>();

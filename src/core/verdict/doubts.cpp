@@ -1,12 +1,10 @@
-#include "imu_pose_calib/core/verdict/doubts.h"
-
 #include <algorithm>
 #include <cmath>
 #include <string>
 
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/text.h"
-#include "imu_pose_calib/core/verdict/session_agreement.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 
 namespace imu_pose_calib {
 namespace {

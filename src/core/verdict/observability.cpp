@@ -1,5 +1,3 @@
-#include "imu_pose_calib/core/verdict/observability.h"
-
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
@@ -11,6 +9,7 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/start/data_check.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 
 namespace imu_pose_calib {
 namespace {

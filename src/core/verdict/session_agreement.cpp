@@ -1,5 +1,3 @@
-#include "imu_pose_calib/core/verdict/session_agreement.h"
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -7,6 +5,7 @@
 
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 
 namespace imu_pose_calib {
 namespace {

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <ctime>
 
-#include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 #include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/ros/io/ros_options.h"
 #include "imu_pose_calib/ros/io/text.h"

@@ -56,8 +56,8 @@ TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
   for (const ImuTrack::Instant& instant : output.instants) {
     auto state = output.state(instant.t);
     if (!state) continue;
-    if (state->q_WI.dot(last) < 0.0) state->q_WI.coeffs() *= -1.0;
-    last = state->q_WI;
+    if (state->q_WB.dot(last) < 0.0) state->q_WB.coeffs() *= -1.0;
+    last = state->q_WB;
     visit(instant.stamp_ns, *state);
     ++count.states;
     if (state->is_carried) {
@@ -126,7 +126,7 @@ TrajectoryCount WriteEuroc(const std::string& path, const TrajectoryOutput& outp
   TextTable states(kEurocHeader, ',', kDigits);
   TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     const std::string stamp = std::to_string(stamp_ns);
-    states.AddRow(stamp, x.p_WI, x.q_WI.w(), x.q_WI.vec(), x.v_W, x.biases.gyro, x.biases.accel);
+    states.AddRow(stamp, x.p_WB, x.q_WB.w(), x.q_WB.vec(), x.v_W, x.biases.gyro, x.biases.accel);
     if (sigmas == nullptr) return;
     const Eigen::VectorXd sigma = x.covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
     const Eigen::VectorXd bias_sigma = x.bias_covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
@@ -163,8 +163,8 @@ TrajectoryCount WriteTum(const std::string& path, bool with_covariance,
   TextTable table("", ' ', kDigits);
   TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     const std::string stamp = SecondsText(stamp_ns);
-    if (!with_covariance) return table.AddRow(stamp, x.p_WI, x.q_WI.coeffs());
-    table.AddRow(stamp, x.p_WI, x.q_WI.coeffs(), UpperTriangle(x.covariance.block<3, 3>(0, 0)),
+    if (!with_covariance) return table.AddRow(stamp, x.p_WB, x.q_WB.coeffs());
+    table.AddRow(stamp, x.p_WB, x.q_WB.coeffs(), UpperTriangle(x.covariance.block<3, 3>(0, 0)),
                  UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
   std::string head = Origin(*outputs);
@@ -185,14 +185,14 @@ using Covariance = Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>;
 
 nav_msgs::Odometry ToOdometry(const std_msgs::Header& header, const std::string& child,
                               const ImuState& x) {
-  const Eigen::Matrix3d R = x.q_WI.toRotationMatrix();
+  const Eigen::Matrix3d R = x.q_WB.toRotationMatrix();
   const Eigen::Vector3d v_I = R.transpose() * x.v_W;
   nav_msgs::Odometry msg;
   msg.header = header;
   msg.child_frame_id = child;
-  msg.pose.pose = ToPoseMsg({x.q_WI, x.p_WI});
+  msg.pose.pose = ToPoseMsg({x.q_WB, x.p_WB});
   msg.twist.twist.linear = ToVector3Msg(v_I);
-  msg.twist.twist.angular = ToVector3Msg(x.omega_I);
+  msg.twist.twist.angular = ToVector3Msg(x.omega_B);
   // Pose: position and rotation about the axes of W. Twist: both in I.
   Eigen::Matrix<double, 6, 12> pose = Eigen::Matrix<double, 6, 12>::Zero(), twist = pose;
   pose.block<3, 3>(0, 3).setIdentity();
@@ -225,7 +225,7 @@ TrajectoryCount FillBag(const TrajectoryOutput& output, const std::string& run_i
     }
 
     tf2_msgs::TFMessage tf;
-    tf.transforms = {ToTransformStamped(header, child, {x.q_WI, x.p_WI})};
+    tf.transforms = {ToTransformStamped(header, child, {x.q_WB, x.p_WB})};
     bag->write("/tf", stamp, tf);
 
     if (!track.poses.empty() && stamp_ns < next_ns) return;

@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include "imu_pose_calib/core/base/options.h"
-#include "imu_pose_calib/core/verdict/observability.h"
+#include "imu_pose_calib/core/verdict/verdict.h"
 #include "imu_pose_calib/ros/io/result_yaml.h"
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"

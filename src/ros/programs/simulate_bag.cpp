@@ -130,9 +130,9 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
     const TrueState marker = trajectory.At(t);
     const Rigid3& T_MI = options.T_MI;
     ImuState state;
-    state.q_WI = Eigen::Quaterniond(marker.R_WM) * T_MI.q;
-    state.p_WI = marker.p_WM + marker.R_WM * T_MI.p;
-    state.omega_I = T_MI.q.conjugate() * marker.omega_M;
+    state.q_WB = Eigen::Quaterniond(marker.R_WM) * T_MI.q;
+    state.p_WB = marker.p_WM + marker.R_WM * T_MI.p;
+    state.omega_B = T_MI.q.conjugate() * marker.omega_M;
     state.v_W = marker.v_W + marker.R_WM * marker.omega_M.cross(T_MI.p);
     state.biases = {options.gyro_bias, options.accel_bias};
     return state;

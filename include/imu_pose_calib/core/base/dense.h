@@ -28,7 +28,6 @@ Eigen::MatrixXd Inverse(const Eigen::MatrixXd& A);
 /// C^-1 B, of symmetric C.
 Eigen::MatrixXd Solve(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B);
 
-bool IsPositiveDefinite(const Eigen::MatrixXd& C);
 /// C^-1 B; NaN when C is not positive definite.
 Eigen::MatrixXd SolvePositive(const Eigen::MatrixXd& C, const Eigen::MatrixXd& B);
 /// d^T C^-1 d, of positive definite C.

@@ -1,11 +1,13 @@
 #pragma once
 
+#include <ceres/rotation.h>
+
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <cmath>
 
-/// The rotation group, once. All functions take any scalar (double, ceres::Jet) and branch to a
-/// Taylor series on the squared angle, so that values and derivatives are exact at zero.
+/// The rotation group, once. All functions take any scalar (double, ceres::Jet); values and
+/// derivatives are exact at zero.
 namespace imu_pose_calib {
 
 /// Hat(a) b = a x b.
@@ -21,35 +23,18 @@ Eigen::Matrix<T, 3, 3> Hat(const Eigen::Matrix<T, 3, 1>& a) {
 /// Rotation by the vector r [rad] as a unit quaternion.
 template <typename T>
 Eigen::Quaternion<T> Exp(const Eigen::Matrix<T, 3, 1>& r) {
-  using std::cos;
-  using std::sin;
-  using std::sqrt;
-  const T s = r.squaredNorm();
-  if (s < T(1e-8)) {
-    Eigen::Quaternion<T> q;
-    q.w() = T(1) - s / T(8);
-    q.vec() = (T(0.5) - s / T(48)) * r;
-    return q;
-  }
-  const T angle = sqrt(s);
-  Eigen::Quaternion<T> q;
-  q.w() = cos(angle / T(2));
-  q.vec() = (sin(angle / T(2)) / angle) * r;
-  return q;
+  T q[4];  // w first
+  ceres::AngleAxisToQuaternion(r.data(), q);
+  return {q[0], q[1], q[2], q[3]};
 }
 
 /// Rotation vector [rad] of the unit quaternion q, norm at most pi. Log(Exp(r)) = r for |r| < pi.
 template <typename T>
 Eigen::Matrix<T, 3, 1> Log(const Eigen::Quaternion<T>& q) {
-  using std::atan2;
-  using std::sqrt;
-  const T sign = q.w() < T(0) ? T(-1) : T(1);
-  const T w = sign * q.w();
-  const Eigen::Matrix<T, 3, 1> v = sign * q.vec();
-  const T s = v.squaredNorm();
-  if (s < T(1e-8)) return (T(2) / w) * (T(1) - s / (T(3) * w * w)) * v;
-  const T norm = sqrt(s);
-  return (T(2) * atan2(norm, w) / norm) * v;
+  const T coefficients[] = {q.w(), q.x(), q.y(), q.z()};
+  Eigen::Matrix<T, 3, 1> r;
+  ceres::QuaternionToAngleAxis(coefficients, r.data());
+  return r;
 }
 
 namespace internal {
@@ -83,28 +68,8 @@ struct JacobianTerms {
 
 }  // namespace internal
 
-/// Right Jacobian: Exp(r + d) = Exp(r) Exp(J_r(r) d) to first order in d. For R = Exp(r) the body
-/// rate is omega = J_r(r) r'.
-template <typename T>
-Eigen::Matrix<T, 3, 3> RightJacobian(const Eigen::Matrix<T, 3, 1>& r) {
-  const internal::JacobianTerms<T> j(r.squaredNorm());
-  const Eigen::Matrix<T, 3, 3> H = Hat(r);
-  return Eigen::Matrix<T, 3, 3>::Identity() - j.b * H + j.c * H * H;
-}
-
-/// Time derivative of RightJacobian(r) when r changes at the rate r_dot. For R = Exp(r) the body
-/// angular acceleration is alpha = J_r(r) r'' + (d/dt J_r(r)) r'.
-template <typename T>
-Eigen::Matrix<T, 3, 3> RightJacobianRate(const Eigen::Matrix<T, 3, 1>& r,
-                                         const Eigen::Matrix<T, 3, 1>& r_dot) {
-  const internal::JacobianTerms<T> j(r.squaredNorm());
-  const T s_dot = T(2) * r.dot(r_dot);
-  const Eigen::Matrix<T, 3, 3> H = Hat(r);
-  const Eigen::Matrix<T, 3, 3> D = Hat(r_dot);
-  return -s_dot * j.db * H - j.b * D + s_dot * j.dc * H * H + j.c * (D * H + H * D);
-}
-
-/// u = J_r(phi) phi' and its time derivative, as cross products: with m = phi x phi',
+/// Body rate u of Exp(phi), by the right Jacobian J_r (Exp(phi + d) = Exp(phi) Exp(J_r(phi) d) to
+/// first order in d), and its time derivative: u = J_r(phi) phi'; with m = phi x phi',
 ///   u     = phi' - b m + c phi x m
 ///   du/dt = J_r(phi) phi'' - b' m + c' phi x m + c phi' x m.
 template <typename T>

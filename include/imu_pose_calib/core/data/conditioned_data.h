@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
 
@@ -31,9 +32,6 @@ struct TimedSample {
   Eigen::Vector3d rest = Eigen::Vector3d::Zero();  ///< what LimitBand() took: recorded less `value`
   int count = 1;                                   ///< recorded samples that it stands for
 };
-
-/// Samples further apart are a gap [s], unless the options say otherwise.
-inline double LongestStep(double rate_hz) { return std::max(0.1, 5.0 / rate_hz); }
 
 /// Half-open range of indices.
 struct IndexRange {
@@ -91,5 +89,19 @@ void Summarise(const std::vector<Timed>& samples, StreamReport* report) {
   report->rate_hz = 1.0 / Median(std::move(periods));
   report->duration_s = samples.back().t - samples.front().t;
 }
+
+/// Removes the poses that leave, and segments of which less than two are left, and returns how many
+/// have gone.
+size_t RemovePoses(const std::vector<bool>& leaves, ConditionedData* data);
+
+/// Cuts the poses into segments at gaps; runs that are too short are dropped and counted.
+/// Throws DataError when no run is left.
+void SplitAtGaps(const CalibrationOptions& options, ConditionedData* data);
+
+/// Cuts the segments where a pose cannot follow from the one before it (swapped marker labels, a
+/// tracker that finds itself anew) and counts the jumps. Runs between jumps that are too short for
+/// a segment are dropped and count as outliers. Single spikes must be gone already.
+/// Throws DataError when no run is left.
+void SplitAtJumps(const CalibrationOptions& options, ConditionedData* data);
 
 }  // namespace imu_pose_calib

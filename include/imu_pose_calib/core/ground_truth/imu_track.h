@@ -1,6 +1,5 @@
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -10,19 +9,16 @@
 namespace imu_pose_calib {
 
 /// State of an IMU, or of a pose sensor, at one instant: ground truth.
-struct ImuState {
+struct ImuState : BodyState {
   double t = 0.0;  ///< [s] pose clock
-  Eigen::Quaterniond q_WI;
-  Eigen::Vector3d p_WI;     ///< [m]
-  Eigen::Vector3d omega_I;  ///< [rad/s]
-  Eigen::Vector3d v_W;      ///< [m/s]
   ImuBiases biases;
-  bool is_carried = false;  ///< by the IMU alone, across a gap of the poses
-  /// Of the rotation [rad, about the axes of I: R_WI Exp(dtheta)], p_WI, omega_I and v_W.
+  bool is_carried = false;  ///< by the IMU alone, across a gap of the poses; alpha_B is not known
+  /// Of the rotation [rad, about the axes of B: R_WB Exp(dtheta)], p_WB, omega_B and v_W.
   Eigen::Matrix<double, 12, 12> covariance = Eigen::Matrix<double, 12, 12>::Zero();
   Matrix6d bias_covariance = Matrix6d::Zero();  ///< gyroscope, accelerometer
 
-  static ImuState Of(const BodyState& body, double t);
+  ImuState() = default;
+  ImuState(const BodyState& body, double t) : BodyState(body), t(t) {}
 };
 
 /// Whose stamps go with the states.
@@ -83,9 +79,9 @@ class ImuTrack {
   std::vector<TrackGap> gaps_;
 };
 
-/// `recorded`, or evenly from the first of them until the last one for a rate > 0 [Hz]. `t`: of a
-/// stamp.
-std::vector<ImuTrack::Instant> EvenInstants(std::vector<ImuTrack::Instant> recorded, double rate_hz,
-                                            const std::function<double(int64_t stamp_ns)>& t);
+/// `recorded`, or evenly from the first of them until the last one for a rate > 0 [Hz]: their clock
+/// is linear between them.
+std::vector<ImuTrack::Instant> EvenInstants(const std::vector<ImuTrack::Instant>& recorded,
+                                            double rate_hz);
 
 }  // namespace imu_pose_calib

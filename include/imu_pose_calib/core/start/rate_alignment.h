@@ -10,6 +10,8 @@ namespace imu_pose_calib {
 constexpr double kRateBin = 0.01;      ///< [s] of the rates that are correlated
 constexpr int kCandidates = 6;         ///< time shifts that are tried on all three axes
 constexpr double kMinExplained = 0.5;  ///< least share of the variance of rates that match
+/// Unexplained share of the motion of a flipped segment; of another reading over the one as given.
+constexpr double kFlipped = 0.25;
 
 /// Time shifts at which |omega_M| and |gyro| correlate best, the best first, at most `count`.
 /// Every overlap of at least `min_overlap_s` is searched, or those within 1 s of `guess`.
@@ -45,11 +47,25 @@ struct RateAlignment {
   Eigen::Vector3d Residual(const RatePair& pair) const;
 };
 
-/// SVD solution of Wahba's problem on mean-free rates, omega_M = R_MI (gyro - bias).
+/// Least squares for rotation and bias, omega_M = R_MI (gyro - bias): Wahba's problem.
 RateAlignment AlignRates(const std::vector<RatePair>& pairs);
 /// That with the most evidence at one of the time shifts: many samples, well explained. `inverted`
 /// as for PairRates(). Nothing is explained when there is no time shift.
 RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
                          const std::vector<double>& time_shifts, bool inverted, int threads);
+
+/// What messages call the rates that are aligned.
+struct RatesInWords {
+  const char* both;    ///< "poses and gyroscope"
+  const char* whose;   ///< "the gyroscope's"
+  const char* invert;  ///< option that says which way the poses are recorded
+  bool is_inverted;    ///< as it is set
+};
+
+/// AlignRates() of rates that match. Throws OptionNeeded when inverted poses explain the gyroscope
+/// far better, and DataError when nothing does.
+RateAlignment MatchRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                         const std::vector<double>& time_shifts, const RatesInWords& words,
+                         int threads);
 
 }  // namespace imu_pose_calib

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <utility>
 #include <vector>
 
 namespace imu_pose_calib {
@@ -30,9 +29,6 @@ struct GpData {
 struct BumpGrid {
   double lengthscale, first;  ///< [s]
   int size;
-  bool operator==(const BumpGrid& o) const {
-    return lengthscale == o.lengthscale && first == o.first && size == o.size;
-  }
 };
 
 /// Gaussian process regression with one 1-D input and D independent outputs that share their
@@ -57,9 +53,6 @@ class GaussianProcess {
   /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
   /// [begin, end] it tends to the prior mean, zero.
   Derivatives Evaluate(double t) const;
-  /// Evaluate() of two, at less than twice the cost if they share length scale, begin and end.
-  static std::pair<Derivatives, Derivatives> Evaluate(const GaussianProcess& a,
-                                                      const GaussianProcess& b, double t);
   /// Evaluate(t).col(0) and Variance(t)[0] (unless null) alone, at a third of the cost.
   Eigen::Vector4d Value(double t, double* variance = nullptr) const;
 
@@ -68,9 +61,6 @@ class GaussianProcess {
   Eigen::Vector3d Variance(double t) const;
 
  private:
-  /// Of the bumps from `bump` on, given their derivatives in rows.
-  Derivatives Mean(int bump, const Eigen::Ref<const Eigen::Matrix4Xd>& bumps) const;
-
   double begin_ = 0.0, end_ = 0.0;
   BumpGrid grid_;
   Eigen::Matrix4Xd weights_;  ///< outputs x bumps

@@ -10,8 +10,11 @@
 #include "imu_pose_calib/core/base/options.h"
 #include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/calibration/marginals.h"
+#include "imu_pose_calib/core/start/preparation.h"
 
 namespace imu_pose_calib {
+
+// --- Grades ---
 
 /// T_FS of two frames of the body, IMUs or pose sensors, whose places in the rig are 0. Covariances
 /// are those of (p_MF, R_MF) and (p_MS, R_MS), rotations about the axes of F and S; `cross` is that
@@ -35,5 +38,33 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
 /// Adds a warning in words for each sign that the model does not fit the data: correlated
 /// residuals, drifting clocks, wrong scales, a long accel_delay.
 void WarnOfMisfit(const Marginals& marginals, Calibration* result);
+
+// --- Sessions and halves ---
+
+/// Sessions and halves of a recording agree when no component differs by more than this many sigma;
+/// AGREEMENT of scripts/comparison.py is the same for calibrations.
+constexpr double kAgreementBound = 5.0;
+
+/// Compares what each session says alone with the common estimate, which `result` holds: fills
+/// `own` and `agreement` of the sessions (doc/math.md, S5, "Sessions"). Where they scatter more
+/// than their sigmas say, the robust covariance of what is returned is larger by as much.
+Marginals CompareSessions(Marginals marginals, Calibration* result);
+
+/// After the grading: sessions that disagree make an `ok` result `weak`, and the message names the
+/// one that stands out, of a degenerate result, too.
+void TestSessionAgreement(Calibration* result);
+
+// --- Doubts ---
+
+/// The marginals with sigmas that cover half of what the halves differ by, if they disagree: then
+/// the recording shows more scatter than its residuals do.
+Marginals CoverHalves(Marginals marginals);
+
+/// Makes a graded result `weak`, and says why, where what the solve found cannot be right though
+/// every sigma is small: motion in a moment only, halves that disagree, poses that are ignored, a
+/// source of poses as there is none, motion that method gp has lost, a solve that has not settled
+/// (doc/math.md, "Doubts").
+void DoubtResult(const std::vector<PreparedSession>& sessions, bool has_settled,
+                 Calibration* result);
 
 }  // namespace imu_pose_calib
