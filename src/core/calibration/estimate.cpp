@@ -92,7 +92,7 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     ImuSessionEstimate& imu = sessions[0].imus[i];
     imu.is_present = true;
     imu.time_shift = start.time_shift;
-    imu.walk = start.clock.walk;
+    imu.walk = start.walk;
     imu.clock_reference = samples.MiddleOfGyro();
     imu.gyro_bias = BiasKnots(samples.gyro, bias_knot_interval_s, start.gyro_bias);
     imu.accel_bias = BiasKnots(samples.accel, bias_knot_interval_s, start.accel_bias);

@@ -52,10 +52,9 @@ struct Tails {
 /// A random walk through local offsets whose variances are known up to a factor.
 struct Walk {
   double log_likelihood = -std::numeric_limits<double>::infinity();
-  double scale2 = 1.0;                  ///< that factor
-  double density2 = 0.0;                ///< in units of scale2
-  double drift = 0.0, drift_std = 0.0;  ///< [s/s]
-  std::vector<double> offset;           ///< [s] smoothed
+  double scale2 = 1.0;             ///< that factor
+  double density2 = 0.0;           ///< in units of scale2
+  std::vector<double> offset;      ///< [s] smoothed
   std::vector<double> increment2;  ///< expected squares of the increments less the drift, and of
   std::vector<double> error2;      ///< the local offsets' errors, in usual variances
 };
@@ -164,8 +163,6 @@ Walk Smooth(const LocalOffsets& local, const Tails& tails, double density2) {
   if (count < 1.0) return walk;
   walk.scale2 = sum / count;
   walk.log_likelihood = -0.5 * (count * std::log(walk.scale2) + log_variance);
-  walk.drift = x[n - 1][1];
-  walk.drift_std = std::sqrt(walk.scale2 * P[n - 1](1, 1));
   walk.offset.resize(n);
   walk.increment2.resize(n - 1);
   walk.error2.assign(n, 1.0);
@@ -309,42 +306,31 @@ double ClockWalk::At(double instant) const {
   return (1.0 - u) * offset[k] + u * offset[k + 1];
 }
 
-ClockFit FitClock(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                  const ClockLine& about, bool may_wander) {
-  ClockFit fit;
-  fit.time_shift = about.time_shift;
-  ClockWalk walk = EvenKnots(gyro, about.clock_reference);
+ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                       ClockLine* line) {
+  ClockWalk walk = EvenKnots(gyro, line->clock_reference);
   const size_t count = walk.t.size();
+  if (count < 5) return {};
   Tails tails{std::vector<double>(count - 1, 1.0), std::vector<double>(count, 1.0)};
   Tails of_line = tails;
   Walk found;
   RateAlignment alignment;
-  bool wanders = may_wander && count >= 5;
   for (int round = 0; round < kRounds; ++round) {
-    const LocalOffsets local = FindLocal(Compare(trajectory, gyro, about, walk, &alignment), walk);
-    fit.explained = alignment.explained;
-    if (wanders) found = FindWalk(local, false, &tails);
-    Walk line;
-    if (round == 0 || !wanders) line = FindWalk(local, true, &of_line);
-    if (wanders && round == 0) wanders = found.log_likelihood >= line.log_likelihood + kEvidence;
-    if (!wanders) found = std::move(line);
-    if (found.offset.empty()) return fit;
+    const LocalOffsets local = FindLocal(Compare(trajectory, gyro, *line, walk, &alignment), walk);
+    found = FindWalk(local, false, &tails);
+    if (found.offset.empty()) return {};
+    if (round == 0 &&
+        found.log_likelihood < FindWalk(local, true, &of_line).log_likelihood + kEvidence)
+      return {};
     walk.offset = found.offset;
   }
-  fit.clock_drift = found.drift;
-  fit.clock_drift_std = found.drift_std;
-  if (wanders) {
-    const double usual = std::sqrt(found.scale2 * found.density2 * kInterval);
-    for (size_t k = 0; k + 1 < count; ++k)
-      walk.std.push_back(usual * std::sqrt(tails.increments[k]));
-    CutAtSteps(trajectory, gyro, about, alignment, tails.increments, usual, &walk);
-  }
+  const double usual = std::sqrt(found.scale2 * found.density2 * kInterval);
+  for (size_t k = 0; k + 1 < count; ++k) walk.std.push_back(usual * std::sqrt(tails.increments[k]));
+  CutAtSteps(trajectory, gyro, *line, alignment, tails.increments, usual, &walk);
   const double shift = walk.offset[walk.reference];
-  fit.time_shift += shift;
-  if (!wanders) return fit;
   for (double& offset : walk.offset) offset -= shift;
-  fit.walk = std::move(walk);
-  return fit;
+  line->time_shift += shift;
+  return walk;
 }
 
 }  // namespace imu_pose_calib

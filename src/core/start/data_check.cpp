@@ -35,6 +35,7 @@ constexpr double kRestRate = 0.05;     // [rad/s] rms
 constexpr double kRestForce = 0.15;    // [m/s^2] rms about the mean
 constexpr double kMinTurnRate = 0.01;  // [rad/s] about the second axis
 constexpr double kPause = 1.0;         // [s] longer than between bunches
+constexpr double kDriftBlock = 2.0;    // [s] of samples whose errors may be correlated
 
 std::string Percent(double share) { return Number(100.0 * share, "%.4g %%"); }
 
@@ -191,6 +192,56 @@ void FindRest(const ConditionedImu& data, ImuCheck* check) {
   check->rest_norm = count > 0.0 ? sum / count : 0.0;
 }
 
+/// Share of the gyroscope's variance that the poses explain, and growth of the time shift: linear
+/// least squares for small changes of R_MI, bias, shift and drift on the gyroscope, with a
+/// covariance from blocks of time.
+void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, const Start& start,
+                  ImuCheck* check) {
+  using Matrix8d = Eigen::Matrix<double, 8, 8>;
+  using Vector8d = Eigen::Matrix<double, 8, 1>;
+  struct Equations {
+    Matrix8d H = Matrix8d::Zero();
+    Vector8d b = Vector8d::Zero();
+  };
+  const double begin = data.gyro.front().t, middle = data.MiddleOfGyro();
+  std::vector<Equations> blocks(1 +
+                                static_cast<size_t>((data.gyro.back().t - begin) / kDriftBlock));
+  const Eigen::Matrix3d R_IM = start.q_MI.conjugate().toRotationMatrix();
+  double motion = 0.0, residual = 0.0, count = 0.0;
+  for (size_t i = 0; i < data.gyro.size(); i += Stride(data.gyro.size())) {
+    const TimedSample& s = data.gyro[i];
+    MarkerRotation<double> marker;
+    if (!trajectory.EvaluateRotation(s.t + start.time_shift, &marker)) continue;
+    const Eigen::Vector3d omega_I = R_IM * marker.omega_M, alpha_I = R_IM * marker.alpha_M;
+    const Eigen::Vector3d turn = s.value - start.gyro_bias, r = turn - omega_I;
+    Eigen::Matrix<double, 3, 8> J;
+    J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
+    Equations& block = blocks[static_cast<size_t>((s.t - begin) / kDriftBlock)];
+    block.H += J.transpose().lazyProduct(J);
+    block.b += J.transpose().lazyProduct(r);
+    residual += r.squaredNorm();
+    motion += turn.squaredNorm();
+    count += 1.0;
+  }
+  if (count < 100.0) return;
+  Equations all;
+  for (const Equations& block : blocks) {
+    all.H += block.H;
+    all.b += block.b;
+  }
+  const Vector8d x = Solve(all.H, all.b);
+  Matrix8d scatter = Matrix8d::Zero();
+  for (const Equations& block : blocks) {
+    const Vector8d score = block.b - block.H * x;
+    scatter += score * score.transpose();
+  }
+  check->explained = 1.0 - (residual - all.b.dot(x)) / motion;
+  check->time_shift += x[6];
+  check->drift_ppm = 1e6 * x[7];
+  const Eigen::MatrixXd covariance = Solve(all.H, Solve(all.H, scatter).transpose());
+  check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
+}
+
 /// act(name, check, report) of all streams.
 template <typename Act>
 void ForEachStream(const DataCheck& check, const Act& act) {
@@ -325,19 +376,18 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
   }
 }
 
-void CheckMatch(const CalibrationOptions& options, const ConditionedData& data, const Start& start,
-                size_t imu, DataCheck* check) {
+void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
+                const PoseTrajectory& trajectory, const Start& start, size_t imu,
+                DataCheck* check) {
   const ConditionedImu& samples = data.imus[imu];
   ImuCheck& match = check->imus[imu];
   match.is_matched = true;
-  const double shift = start.clock.time_shift;
-  match.explained = start.clock.explained;
-  match.drift_ppm = 1e6 * start.clock.clock_drift;
-  match.drift_ppm_std = 1e6 * start.clock.clock_drift_std;
+  const double shift = start.time_shift;
   match.time_shift = shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
   const double begin = std::max(0.0, samples.gyro.front().t + shift);
   const double end = std::min(data.poses.back().t, samples.gyro.back().t + shift);
   match.overlap_s = std::max(0.0, end - begin);
+  MeasureDrift(samples, trajectory, start, &match);
   const std::string of = OfImu(imu, data.imus.size());
   if (match.overlap_s < kMinOverlap)
     check->warnings.push_back("poses and IMU" + of + " have only " + Number(match.overlap_s) +

@@ -133,7 +133,7 @@ struct LeverArmEquations {
     A.diagonal().segment<3>(6).setConstant(1.0 / (kAccelBiasPrior * kAccelBiasPrior));
     for (size_t i = 0; i < accel.size(); i += stride) {
       MarkerState<double> state;
-      const double t = accel[i].t + start.clock.walk.At(accel[i].t);
+      const double t = accel[i].t + start.walk.At(accel[i].t);
       if (!trajectory.Evaluate(t + start.time_shift - delay, &state)) continue;
       const Eigen::Matrix3d R_MW = state.q_WM.conjugate().toRotationMatrix();
       const Eigen::Matrix3d W = Hat(state.omega_M);
@@ -247,10 +247,11 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
   start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
-  const bool may_wander = options.method == Method::kJoint && options.estimate_clock_walk;
-  start.clock = FitClock(trajectory, samples.gyro, {best.time_shift, 0.0, samples.MiddleOfGyro()},
-                         may_wander && options.estimate_time_shift);
-  start.time_shift = start.clock.walk.IsLine() ? best.time_shift : start.clock.time_shift;
+  ClockLine line{best.time_shift, 0.0, samples.MiddleOfGyro()};
+  if (options.method == Method::kJoint && options.estimate_clock_walk &&
+      options.estimate_time_shift)
+    start.walk = FitClockWalk(trajectory, samples.gyro, &line);
+  start.time_shift = line.time_shift;
   FitLeverArm(trajectory, samples.accel, options.GravityMagnitude(), options.estimate_accel_delay,
               options.Threads(), &start);
   if (!options.estimate_translation) start.p_MI = *options.initial_translation;

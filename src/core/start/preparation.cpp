@@ -54,7 +54,8 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
   for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());
-    if (is_present) CheckMatch(options, prepared.data, prepared.starts[i], i, check);
+    if (is_present)
+      CheckMatch(options, prepared.data, *prepared.trajectory, prepared.starts[i], i, check);
   }
   return prepared;
 }

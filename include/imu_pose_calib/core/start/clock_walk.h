@@ -39,17 +39,10 @@ struct ClockWalk {
   double At(double instant) const;
 };
 
-/// A clock as the turn rates of trajectory and gyroscope tell of it.
-struct ClockFit {
-  double time_shift = 0.0;                          ///< [s] at the reference
-  ClockWalk walk;                                   ///< beyond it; a line unless they speak for one
-  double clock_drift = 0.0, clock_drift_std = 0.0;  ///< [s/s] where the log ends; std 0: unknown
-  double explained = 0.0;  ///< share of the gyroscope's variance that the poses explain
-};
-
-/// The clock about a first guess of its time shift. `may_wander`: it need not be a line; the
-/// density of its walk is the likeliest.
-ClockFit FitClock(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                  const ClockLine& about, bool may_wander);
+/// The walk of a clock about `line`, from the turn rates of trajectory and gyroscope; its density
+/// is the likeliest. A line when the rates do not speak for a walk. Moves line->time_shift to where
+/// the walk is at the reference.
+ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                       ClockLine* line);
 
 }  // namespace imu_pose_calib

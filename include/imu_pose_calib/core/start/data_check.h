@@ -95,8 +95,8 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
 
 /// Checks that poses and an IMU fit each other at the start found in S2: overlap, and clocks that
 /// drift where no drift is estimated.
-void CheckMatch(const CalibrationOptions& options, const ConditionedData& data, const Start& start,
-                size_t imu, DataCheck* check);
+void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
+                const PoseTrajectory& trajectory, const Start& start, size_t imu, DataCheck* check);
 
 /// "good", "usable", "record again".
 const char* ToString(DataVerdict verdict);

@@ -14,7 +14,7 @@ namespace imu_pose_calib {
 /// ConditionedData::pose_epoch_ns and t_imu after ConditionedImu::epoch_ns.
 struct Start {
   double time_shift = 0.0;   ///< [s] of a line that of the correlation
-  ClockFit clock;            ///< about the middle of the gyroscope's log
+  ClockWalk walk;            ///< beyond it; about the middle of the gyroscope's log
   double accel_delay = 0.0;  ///< [s]
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();        ///< [m]
