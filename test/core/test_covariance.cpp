@@ -304,8 +304,8 @@ TEST(ClusterRobustCovariance, IsNotMadeSmallerByWhatIsKnownBeforehand) {
     estimate.influence.bottomRows(known).setZero();
     estimate.covariance = MatrixXd::Identity(told + known, told + known);
     counted += variance(estimate);
-    estimate.prior = Eigen::VectorXd::Zero(told + known);
-    estimate.prior.tail(known).setOnes();
+    estimate.known = Eigen::VectorXd::Zero(told + known);
+    estimate.known.tail(known).setOnes();
     beside += variance(estimate);
   }
   EXPECT_LT(counted, 0.95 * alone);

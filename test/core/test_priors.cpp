@@ -25,7 +25,7 @@ struct Rig {
           parameters.push_back(p);
           n += p.size;
         }
-    estimate.peaks = WidePeaks(estimate, parameters);
+    estimate.peaks = FirstPeaks(estimate, parameters);
   }
 
   /// Mean and covariance with the factor that is found where all else says that the parameters are
@@ -124,7 +124,7 @@ TEST(Peaks, OfALateAccelerometerIsWide) {
   };
   solve(&early);
   rig.estimate.imus[0].accel_delay = 0.014;
-  rig.estimate.peaks = WidePeaks(rig.estimate, rig.parameters);
+  rig.estimate.peaks = FirstPeaks(rig.estimate, rig.parameters);
   solve(&late);
   EXPECT_LT(early[0], 0.5 * smoothing);
   EXPECT_GT(late[0], 0.6 * smoothing);

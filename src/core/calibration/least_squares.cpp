@@ -252,7 +252,7 @@ void LeastSquares::AddCalibration(bool is_joint) {
                p.session);
   }
   if (!with_peaks.empty()) {
-    if (estimate->peaks.b.size() == 0) estimate->peaks = WidePeaks(*estimate, with_peaks);
+    if (estimate->peaks.b.size() == 0) estimate->peaks = FirstPeaks(*estimate, with_peaks);
     std::vector<double*> data;
     for (const Parameter& p : with_peaks) data.push_back(p.data);
     AddPrior(PeakPriors(with_peaks, estimate->peaks), data, 0);

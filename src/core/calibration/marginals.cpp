@@ -3,6 +3,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <optional>
 #include <utility>
 
@@ -103,7 +104,9 @@ class ReducedProblem {
   /// Of the functionals.
   MarginalEstimate Estimate() const {
     MarginalEstimate all = EstimateMarginals(all_.Products(), windows_, functionals_.count());
-    all.prior = PriorOfCalibrated();  // the functionals begin with what is calibrated
+    const Eigen::MatrixXd prior = PriorOfCalibrated();  // with which the functionals begin
+    const Eigen::Index n = prior.rows();
+    all.known = (prior * all.covariance.topLeftCorner(n, n)).diagonal();
     return all;
   }
   /// Part of the residuals: a half of every session, or a session.
@@ -122,16 +125,24 @@ class ReducedProblem {
   const std::vector<Part>& sessions() const { return sessions_; }
 
  private:
-  /// What is known beforehand of the border, from a column on: its part of H and of the gradient,
-  /// and the window where it stands.
+  /// What is known beforehand of columns of the border: its part of H and of the gradient, and the
+  /// window where it stands.
   struct Prior {
-    int column, window;
+    std::vector<int> columns;
+    int window;
     Eigen::MatrixXd H;
     Eigen::VectorXd gradient;
+
+    void AddTo(Eigen::MatrixXd* all) const {
+      for (size_t i = 0; i < columns.size(); ++i)
+        for (size_t k = 0; k < columns.size(); ++k)
+          (*all)(columns[i], columns[k]) +=
+              H(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(k));
+    }
   };
   std::vector<Prior> FindPriors() const;
-  /// Their part of H's diagonal.
-  Eigen::VectorXd PriorOfCalibrated() const;
+  /// Their part of H.
+  Eigen::MatrixXd PriorOfCalibrated() const;
   /// It counts in every part, not only where it stands.
   void AddPriors(Part* part) const;
   /// The means of bias knots that are in one window, or are shared.
@@ -196,9 +207,13 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
     if (part.reduced.H(column, column) != 0.0) kept.push_back(column);
   MarginalEstimate estimate =
       Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
-  const Eigen::VectorXd prior = PriorOfCalibrated();
-  for (size_t k = 0; k < columns.size(); ++k)
-    estimate.prior[static_cast<Eigen::Index>(k)] = prior[columns[k]];
+  const Eigen::MatrixXd prior = PriorOfCalibrated();
+  Eigen::MatrixXd of_columns(columns.size(), columns.size());
+  for (size_t i = 0; i < columns.size(); ++i)
+    for (size_t k = 0; k < columns.size(); ++k)
+      of_columns(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(k)) =
+          prior(columns[i], columns[k]);
+  estimate.known = (of_columns * estimate.covariance).diagonal();
   return estimate;
 }
 
@@ -209,46 +224,64 @@ Panels ReducedProblem::TakeFactor() {
 }
 
 std::vector<ReducedProblem::Prior> ReducedProblem::FindPriors() const {
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const Problem& problem = solved_.problem;
+  std::map<int, int> columns;  // of the border's blocks
+  int next = 0;
+  for (const int block : order_.border) next = (columns[block] = next) + problem.TangentSize(block);
   std::vector<Prior> priors;
   for (const Equation& equation : solved_.equations) {
     const Problem::Residuals& residuals = problem.residuals(equation.block);
-    if (residuals.blocks() > 1) continue;
-    const int block = *problem.BlocksOf(residuals);
-    int column = 0;
-    auto place = order_.border.begin();
-    for (; place != order_.border.end() && *place != block; ++place)
-      column += problem.TangentSize(*place);
-    if (place == order_.border.end()) continue;  // held, or not of the border
+    const int* const blocks = problem.BlocksOf(residuals);
+    // One of several parameters is of what is calibrated: others are steps of walks.
+    const auto is_prior = [&](int block) {
+      const auto found = columns.find(block);
+      return found != columns.end() && (residuals.blocks() == 1 || found->second < order_.gravity);
+    };
+    if (!std::all_of(blocks, blocks + residuals.blocks(), is_prior)) continue;
+    Prior prior{{}, equation.window, {}, {}};
+    std::vector<const double*> parameters;
+    std::vector<RowMajor> jacobians;
+    std::vector<double*> pointers;
+    for (int k = 0; k < static_cast<int>(residuals.blocks()); ++k) {
+      parameters.push_back(problem.data(blocks[k]));
+      jacobians.emplace_back(residuals.rows(), problem.TangentSize(blocks[k]));
+      for (int i = 0; i < problem.TangentSize(blocks[k]); ++i)
+        prior.columns.push_back(columns[blocks[k]] + i);
+    }
+    for (RowMajor& jacobian : jacobians) pointers.push_back(jacobian.data());
     Eigen::VectorXd r(residuals.rows());
-    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> J(
-        r.size(), problem.TangentSize(block));
-    const double* parameters[] = {problem.data(block)};
-    double* jacobians[] = {J.data()};
-    residuals.Evaluate(parameters, r.data(), jacobians);
-    priors.push_back(
-        {column, equation.window, J.transpose().lazyProduct(J), J.transpose().lazyProduct(r)});
+    residuals.Evaluate(parameters.data(), r.data(), pointers.data());
+    Eigen::MatrixXd J(r.size(), static_cast<Eigen::Index>(prior.columns.size()));
+    Eigen::Index column = 0;
+    for (const RowMajor& jacobian : jacobians) {
+      J.middleCols(column, jacobian.cols()) = jacobian;
+      column += jacobian.cols();
+    }
+    prior.H = J.transpose() * J;
+    prior.gradient = J.transpose() * r;
+    priors.push_back(std::move(prior));
   }
   return priors;
 }
 
-Eigen::VectorXd ReducedProblem::PriorOfCalibrated() const {
-  Eigen::VectorXd diagonal = Eigen::VectorXd::Zero(order_.gravity);
+Eigen::MatrixXd ReducedProblem::PriorOfCalibrated() const {
+  Eigen::MatrixXd H = Eigen::MatrixXd::Zero(order_.gravity, order_.gravity);
   for (const Prior& prior : priors_)
-    if (prior.column < order_.gravity)
-      diagonal.segment(prior.column, prior.H.rows()) += prior.H.diagonal();
-  return diagonal;
+    if (prior.columns.front() < order_.gravity) prior.AddTo(&H);
+  return H;
 }
 
 void ReducedProblem::AddPriors(Part* part) const {
   const std::vector<int>& windows = part->windows;
-  for (const auto& [column, window, H, gradient] : priors_) {
-    if (std::binary_search(windows.begin(), windows.end(), window)) continue;
-    if (part->reduced.H(column, column) == 0.0) continue;  // of another session
-    part->reduced.H.block(column, column, H.rows(), H.rows()) += H;
+  for (const Prior& prior : priors_) {
+    if (std::binary_search(windows.begin(), windows.end(), prior.window)) continue;
+    if (part->reduced.H(prior.columns[0], prior.columns[0]) == 0.0) continue;  // another session's
+    prior.AddTo(&part->reduced.H);
     for (const int w : windows)
-      part->reduced.B.col(w).segment(column, H.rows()) +=
-          gradient / static_cast<double>(windows.size());
+      for (size_t k = 0; k < prior.columns.size(); ++k)
+        part->reduced.B(prior.columns[k], w) +=
+            prior.gradient[static_cast<Eigen::Index>(k)] / static_cast<double>(windows.size());
   }
 }
 

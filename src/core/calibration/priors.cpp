@@ -206,11 +206,11 @@ std::unique_ptr<ceres::CostFunction> PeakPriors(const std::vector<Parameter>& pa
   return std::make_unique<FactorCost>(parameters, factor);
 }
 
-GaussianFactor WidePeaks(const Estimate& estimate, const std::vector<Parameter>& parameters) {
+GaussianFactor FirstPeaks(const Estimate& estimate, const std::vector<Parameter>& parameters) {
   const std::vector<Component> components = ComponentsWithPeaks(estimate, parameters);
   VectorXd std(components.size());
   for (size_t k = 0; k < components.size(); ++k)
-    std[static_cast<Index>(k)] = kScales.back() * components[k].peak;
+    std[static_cast<Index>(k)] = kScales.front() * components[k].peak;
   return {std.cwiseInverse().asDiagonal(), VectorXd::Zero(std.size())};
 }
 

@@ -36,7 +36,6 @@ double SlowErrors(Eigen::MatrixXd z, double parameters, double fitted) {
 }  // namespace
 
 double MarginalEstimate::Told() const {
-  const Eigen::VectorXd known = prior.cwiseProduct(covariance.diagonal().head(prior.size()));
   return std::max(1.0, static_cast<double>(covariance.rows()) - known.sum());
 }
 
@@ -74,7 +73,7 @@ MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>
   for (Eigen::Index i = 0; i < count; ++i) {
     const int place = places[static_cast<size_t>(i)];
     selected.influence.row(i) = estimate.influence.row(place);
-    if (place < estimate.prior.size()) selected.prior[i] = estimate.prior[place];
+    if (place < estimate.known.size()) selected.known[i] = estimate.known[place];
     for (Eigen::Index j = 0; j < count; ++j)
       selected.covariance(i, j) = estimate.covariance(place, places[static_cast<size_t>(j)]);
   }

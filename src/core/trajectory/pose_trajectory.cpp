@@ -16,6 +16,7 @@ constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
 constexpr int kMaxRounds = 6;
+constexpr int kSpikeRounds = 3;  // until none is left, few poses are left of some streams
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
 
@@ -158,7 +159,7 @@ std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>
 /// Removes single poses far off their neighbours before a likelihood sees them: they would make it
 /// believe in noise, or in motion at the rate of the samples, and cost it a long search.
 void RemoveSpikes(double threshold, ConditionedData* data) {
-  for (;;) {
+  for (int round = 0; round < kSpikeRounds; ++round) {
     const std::vector<Eigen::Vector2d> distances =
         DistanceFromNeighbours(data->poses, data->segments);
     std::vector<bool> spikes = FindOutliers(distances, data->poses, kSpikeThreshold * threshold,

@@ -44,8 +44,8 @@ bool HasPeak(ParameterKind kind);
 std::unique_ptr<ceres::CostFunction> PeakPriors(const std::vector<Parameter>& parameters,
                                                 const GaussianFactor& factor);
 
-/// The widest Gaussian of each prior, to begin with; `parameters`: those that have a peak.
-GaussianFactor WidePeaks(const Estimate& estimate, const std::vector<Parameter>& parameters);
+/// The narrowest Gaussian of each prior, to begin with; `parameters`: those that have a peak.
+GaussianFactor FirstPeaks(const Estimate& estimate, const std::vector<Parameter>& parameters);
 
 /// Moment matching (doc/math.md, S4, "Peaks"): a factor with which the parameters that have peaks
 /// get the mean and the covariance that they have with priors
