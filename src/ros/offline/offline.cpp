@@ -195,6 +195,8 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
 void RunOffline(const Progress& progress, OfflineResult* offline) {
   const OfflineRequest& given = offline->request;
   ParseExports(given.exports);
+  for (const std::string& path : given.paths)
+    if (!std::filesystem::exists(path)) Reject("bag '", path, "' does not exist");
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   offline->options = Options(requests.front());
   if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
