@@ -359,15 +359,23 @@ Eigen::MatrixXd RobustCovariance(const MarginalEstimate& marginal, const Orderin
   return robust;
 }
 
-/// What the second halves say less what the first halves say.
+/// What the second halves say less what the first halves say; sigmas are those of T_MI and clocks:
+/// what averages over time has no Gaussian prior, which one half of noisy rotations need not know.
 void CompareHalves(const MarginalEstimate& first, const MarginalEstimate& second,
-                   const Functionals& functionals, double fitted, Marginals* result) {
+                   const Ordering& order, const Functionals& functionals, double fitted,
+                   Marginals* result) {
   const Eigen::VectorXd difference = second.Step() - first.Step();
   const Eigen::VectorXd difference_std =
       (LargerStd(first, fitted).cwiseAbs2() + LargerStd(second, fitted).cwiseAbs2()).cwiseSqrt();
   result->halves_difference = functionals.basis.leftCols(difference.size()) * difference;
-  const double largest =
-      difference.size() > 0 ? difference.cwiseQuotient(difference_std).cwiseAbs().maxCoeff() : 0.0;
+  const Eigen::VectorXd sigmas = difference.cwiseQuotient(difference_std).cwiseAbs();
+  double largest = 0.0;
+  Eigen::Index column = 0;
+  for (const Parameter& p : order.calibrated) {
+    if (p.kind <= ParameterKind::kClockDrift)
+      largest = std::max(largest, sigmas.segment(column, p.size).maxCoeff());
+    column += p.size;
+  }
   result->halves_sigmas = std::isfinite(largest) ? largest : 0.0;
 }
 
@@ -419,7 +427,8 @@ Marginals FindMarginals(LeastSquares* solved) {
                                          : marginal.covariance);
   const std::vector<int> calibrated = Counted(static_cast<size_t>(order.gravity));
   CompareHalves(problem.EstimateOf(problem.halves()[0], calibrated),
-                problem.EstimateOf(problem.halves()[1], calibrated), functionals, fitted, &result);
+                problem.EstimateOf(problem.halves()[1], calibrated), order, functionals, fitted,
+                &result);
   FindSessions(problem, order, estimate, functionals, fitted, functionals.basis * marginal.Step(),
                &result);
   result.elimination = problem.elimination();
