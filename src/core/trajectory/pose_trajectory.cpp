@@ -16,7 +16,7 @@ constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
 constexpr int kMaxRounds = 6;
-constexpr int kSpikeRounds = 3;  // until none is left, few poses are left of some streams
+constexpr int kSpikeRounds = 3;          // until none is left, few poses are left of some streams
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
 
