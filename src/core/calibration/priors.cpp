@@ -17,6 +17,7 @@ using Eigen::VectorXd;
 /// Sigmas of the Gaussians of a prior, in those of its peak; each is less likely than the one
 /// before by their ratio, which is how Cauchy's tails fall.
 constexpr std::array<double, 4> kScales = {1.0, 10.0, 100.0, 1000.0};
+constexpr double kWidest = 1.0 / (kScales.back() * kScales.back());  // information of the last one
 /// A delay of positions is less likely by this: slow errors of rotations look like one by four
 /// sigma.
 constexpr double kPositionDelayOdds = 1e-6;
@@ -92,7 +93,6 @@ struct Gaussian {
 /// `rest`, which has the widest Gaussian of each prior as a factor, with the priors instead. In
 /// units of the peaks.
 std::vector<Gaussian> WithPriors(const std::vector<Component>& components, Gaussian rest) {
-  const double widest = 1.0 / (kScales.back() * kScales.back());
   std::vector<Gaussian> mixture = {std::move(rest)};
   for (size_t k = 0; k < components.size(); ++k) {
     std::vector<Gaussian> next;
@@ -102,7 +102,7 @@ std::vector<Gaussian> WithPriors(const std::vector<Component>& components, Gauss
         next.back().log_weight -= 2.0 * std::log(scale);  // less likely, and wider
         if (scale > 1.0 && components[k].kind == ParameterKind::kPositionDelay)
           next.back().log_weight += std::log(kPositionDelayOdds);
-        next.back().Multiply(static_cast<Index>(k), 1.0 / (scale * scale) - widest);
+        next.back().Multiply(static_cast<Index>(k), 1.0 / (scale * scale) - kWidest);
       }
     std::sort(next.begin(), next.end(),
               [](const Gaussian& a, const Gaussian& b) { return a.log_weight > b.log_weight; });
@@ -238,8 +238,7 @@ GaussianFactor MatchPeaks(const Estimate& estimate, const std::vector<Parameter>
   const VectorXd rest_mean = information * value - A.transpose() * estimate.peaks.b;
 
   Gaussian wide;
-  const double widest = 1.0 / (kScales.back() * kScales.back());
-  wide.covariance = InverseOf(rest + widest * MatrixXd::Identity(n, n));
+  wide.covariance = InverseOf(rest + kWidest * MatrixXd::Identity(n, n));
   wide.mean = wide.covariance * rest_mean;
   const Gaussian all = MomentsOf(components, WithPriors(components, std::move(wide)));
 
@@ -252,6 +251,7 @@ GaussianFactor MatchPeaks(const Estimate& estimate, const std::vector<Parameter>
   factor.b = factor.A.transpose().partialPivLu().solve(
       (rest + factor.A.transpose() * factor.A) * all.mean - rest_mean);
   factor.A = factor.A * unit.cwiseInverse().asDiagonal();
+  // Where no covariance is finite, the solve says so itself.
   if (!factor.A.allFinite() || !factor.b.allFinite()) return estimate.peaks;
   return factor;
 }

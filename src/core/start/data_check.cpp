@@ -382,10 +382,10 @@ void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
   const ConditionedImu& samples = data.imus[imu];
   ImuCheck& match = check->imus[imu];
   match.is_matched = true;
-  const double shift = start.time_shift;
-  match.time_shift = shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
-  const double begin = std::max(0.0, samples.gyro.front().t + shift);
-  const double end = std::min(data.poses.back().t, samples.gyro.back().t + shift);
+  match.time_shift =
+      start.time_shift + 1e-9 * static_cast<double>(data.pose_epoch_ns - samples.epoch_ns);
+  const double begin = std::max(0.0, samples.gyro.front().t + start.time_shift);
+  const double end = std::min(data.poses.back().t, samples.gyro.back().t + start.time_shift);
   match.overlap_s = std::max(0.0, end - begin);
   MeasureDrift(samples, trajectory, start, &match);
   const std::string of = OfImu(imu, data.imus.size());

@@ -13,7 +13,7 @@ namespace imu_pose_calib {
 /// session and the IMU: t_pose = t_imu + time_shift with t_pose after
 /// ConditionedData::pose_epoch_ns and t_imu after ConditionedImu::epoch_ns.
 struct Start {
-  double time_shift = 0.0;   ///< [s] of a line that of the correlation
+  double time_shift = 0.0;   ///< [s]
   ClockWalk walk;            ///< beyond it; about the middle of the gyroscope's log
   double accel_delay = 0.0;  ///< [s]
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
@@ -31,7 +31,7 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
                            ConditionedData* data);
 
 /// p_MI, g_W and accel_bias by linear least squares on the accelerometer, given start->q_MI,
-/// start->time_shift and the walk; start->accel_delay is searched on +-0.1 s when
+/// start->time_shift and start->walk; start->accel_delay is searched on +-0.1 s when
 /// `estimate_delay`. Throws DataError when the gravity found is not between half and twice
 /// `gravity_magnitude`, or when the positions are in another unit than the accelerometer.
 void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample>& accel,
