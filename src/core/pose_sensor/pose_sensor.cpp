@@ -55,10 +55,10 @@ RateAlignment StartSession(const CalibrationOptions& given, const PoseTrajectory
   const std::vector<TimedSample> rates = TurnRates(trajectory);
   const std::vector<double> shifts = FindTimeShifts(marker, rates, options.min_overlap_s,
                                                     std::nullopt, kCandidates, options.Threads());
-  const RateAlignment best = MatchRates(marker, rates, shifts,
-                                        {"the marker and the sensor", "the sensor's",
-                                         "invert_sensor_poses", given.invert_sensor_poses},
-                                        options.Threads());
+  RateAlignment best = MatchRates(marker, rates, shifts,
+                                  {"the marker and the sensor", "the sensor's",
+                                   "invert_sensor_poses", given.invert_sensor_poses},
+                                  options.Threads());
   session->clock.time_shift = best.time_shift;
   return best;
 }

@@ -195,7 +195,7 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<Tim
 RateAlignment MatchRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
                          const std::vector<double>& time_shifts, const RatesInWords& words,
                          int threads) {
-  const RateAlignment best = AlignRates(trajectory, gyro, time_shifts, false, threads);
+  RateAlignment best = AlignRates(trajectory, gyro, time_shifts, false, threads);
   const double inverted = AlignRates(trajectory, gyro, time_shifts, true, threads).explained;
   const auto percent = [](double share) { return Number(100.0 * std::max(0.0, share), "%.3g"); };
   // Quaternions whose w comes first, read as if it came last, turn like inverted ones: up to fixed

@@ -127,10 +127,11 @@ void CompleteRig(const std::vector<std::string>& pose_sensors, std::vector<Recor
   name_alike([](RecordingInfo * info) -> auto& { return info->marker_frame; });
   for (size_t i = 0; i < imus; ++i)
     name_alike([i](RecordingInfo * info) -> auto& { return info->imus[i].imu_frame; });
-  for (size_t k = 0; k < pose_sensors.size(); ++k)
-    if (name_alike([k](RecordingInfo * info) -> auto& { return info->pose_sensors[k].frame; }) ==
-        "")
-      Reject("pose_sensor '", pose_sensors[k], "' has no poses in any recording");
+  for (size_t k = 0; k < pose_sensors.size(); ++k) {
+    const std::string frame =
+        name_alike([k](RecordingInfo * info) -> auto& { return info->pose_sensors[k].frame; });
+    if (frame.empty()) Reject("pose_sensor '", pose_sensors[k], "' has no poses in any recording");
+  }
 }
 
 /// The recordings of one rig, and the frames of its sensors the same in all of them.
