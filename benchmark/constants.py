@@ -77,10 +77,10 @@ def scale_all(folder):
             path.write_text('#include "imu_pose_calib/core/base/scaled.h"\n' + changed)
 
 
-def outcome(devel, bag, scaled):
+def outcome(devel, recording, scaled):
     """Verdict, transform and its sigmas; None where nothing is written."""
     try:
-        result = calibrate(arguments_of(bag), devel, timeout=60, **{SCALED: scaled})
+        result = calibrate(recording, devel, timeout=60, **{SCALED: scaled})
     except subprocess.TimeoutExpired:
         return "timeout", None, None
     if result is None:
@@ -122,13 +122,15 @@ def main():
     names = [name for path in sources(folder)
              for name in re.findall(r'Scaled<\w+(?:::\w+)?>\("([^"]*)"', path.read_text()) if options.file in name]
     with tempfile.TemporaryDirectory() as temporary:
-        bags = [str(ROOT / "data/estimator_own_clocks.bag")] + options.bags
+        recordings = [arguments_of(bag) for bag in [str(ROOT / "data/estimator_own_clocks.bag")] + options.bags]
         for k, motion in enumerate(SIMULATED):
-            bags.append("%s/%d.bag" % (temporary, k))
-            run("simulate_bag", bags[-1], "--seed", str(700 + k), "--duration", "30", *motion.split(), devel=devel)
+            bag = "%s/%d.bag" % (temporary, k)
+            run("simulate_bag", bag, "--seed", str(700 + k), "--duration", "30", *motion.split(), devel=devel)
+            sensor = ["--pose-topic", "/mocap/pose", "--pose-sensor", "/pose_sensor"] if "sensor" in motion else []
+            recordings.append([bag] + sensor)
 
         def outcomes(scaled):
-            return [outcome(devel, bag, scaled) for bag in bags]
+            return [outcome(devel, recording, scaled) for recording in recordings]
 
         base = outcomes("")
         print("| constant | doubled: move, sigma, verdicts | halved |\n|---|---|---|")
