@@ -82,7 +82,7 @@ void Compare(const SimulatorOptions& truth, bool with_gaps, Accuracy* sums) {
   }
   const Calibration result = Calibrate({}, data);
   if (!result.solution) return;
-  const ImuTrack track(result.solution, 0, 0, nullptr, TrackClock::kImu, kMaxGap);
+  const ImuTrack track(result.solution, 0, 0, TrackClock::kImu, kMaxGap);
   for (const TrackGap& gap : track.gaps()) {
     sums->gaps += 1.0;
     sums->gaps_carried += gap.carried.empty() ? 0.0 : 1.0;
@@ -170,11 +170,7 @@ void PrintCost(double minutes) {
   const Calibration result = Calibrate(options, data);
   std::printf(", calibration %.1f s, peak %.2f GiB", CpuSeconds(start), PeakGib());
   start = std::clock();
-  const ImuTrack track(result.solution, 0, 0,
-                       std::make_shared<const TrajectoryCovariance>(result.solution),
-                       TrackClock::kImu, kMaxGap);
-  std::printf(", covariance %.1f s", CpuSeconds(start));
-  start = std::clock();
+  const ImuTrack track(result.solution, 0, 0, TrackClock::kImu, kMaxGap);
   double count = 0.0, sum = 0.0;
   for (const ImuTrack::Instant& instant : track.Instants(0.0)) {
     const auto x = track.At(instant.t);

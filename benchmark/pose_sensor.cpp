@@ -95,14 +95,11 @@ struct TrackErrors {
       return e;
     };
     const PoseSensorCalibration& sensor = result.pose_sensors[0];
-    std::shared_ptr<const TrajectoryCovariance> covariance;
-    if (!result.imus.empty())
-      covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
-    const SensorTrack track(result.solution, 0, sensor, covariance);
+    const SensorTrack track(result.solution, 0, sensor);
     PoseSensorCalibration known = sensor;
     known.T_MS = own.T_MS;
     known.covariance.setZero();
-    const SensorTrack on_poses(result.solution, 0, known, covariance, TrackClock::kPoses);
+    const SensorTrack on_poses(result.solution, 0, known, TrackClock::kPoses);
     const double epoch =
         1e-9 * static_cast<double>(result.solution->pose_epochs_ns[0] - truth.start_ns);
     std::optional<std::pair<Rigid3, Rigid3>> last;  // true, found

@@ -1,15 +1,17 @@
 #pragma once
 
-#include <Eigen/Cholesky>
+#include <Eigen/Core>
 #include <algorithm>
 #include <numeric>
 #include <vector>
 
+#include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/calibration/marginals.h"
 
 namespace imu_pose_calib {
 
-/// H^-1 of a solve: put together from the factor of H, and inverted as a dense matrix.
+/// All of H^-1 of a solve by its elements where the factor of H has any: as they are where the rest
+/// of H is 0.
 inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
   std::vector<int> size;  // of the blocks
   for (const PlacedParameter& p : m.parameters)
@@ -24,26 +26,26 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
   std::iota(order.begin(), order.end(), 0);
   std::sort(order.begin(), order.end(),
             [&m](int a, int b) { return m.elimination->place(a) < m.elimination->place(b); });
-  std::vector<int> column;  // by place
-  Eigen::Index inner = 0;
-  for (const int block : order) {
-    if (block >= static_cast<int>(border)) inner += size[static_cast<size_t>(block)];
+  std::vector<int> columns;  // by place
+  for (const int block : order)
     for (int k = 0; k < size[static_cast<size_t>(block)]; ++k)
-      column.push_back(first[static_cast<size_t>(block)] + k);
+      columns.push_back(first[static_cast<size_t>(block)] + k);
+  Eigen::MatrixXd inverse = Eigen::MatrixXd::Zero(m.elimination->columns(), columns.size());
+  std::vector<int> later;
+  for (; !columns.empty(); columns.pop_back()) {
+    const int own = columns.back();
+    std::vector<int> acting;  // of those eliminated later, given which others tell nothing of it
+    for (const int other : later)
+      if (m.elimination->At(*m.inverse, other, own) != 0.0) acting.push_back(other);
+    Eigen::VectorXd known(acting.size());
+    for (size_t k = 0; k < acting.size(); ++k)
+      known[static_cast<Eigen::Index>(k)] = m.elimination->At(*m.inverse, acting[k], own);
+    const Eigen::VectorXd weights = SolvePositive(inverse(acting, acting), known);
+    inverse(later, own) = inverse(later, acting) * weights;
+    inverse(own, later) = inverse(later, own).transpose();
+    inverse(own, own) = m.elimination->At(*m.inverse, own, own);
+    later.push_back(own);
   }
-  const auto columns = static_cast<Eigen::Index>(column.size());
-  Eigen::MatrixXd L = Eigen::MatrixXd::Zero(columns, inner);
-  for (Eigen::Index j = 0; j < inner; ++j)
-    for (Eigen::Index i = j; i < columns; ++i)
-      L(i, j) = m.elimination->At(m.factor, column[static_cast<size_t>(i)],
-                                  column[static_cast<size_t>(j)]);
-  Eigen::MatrixXd ordered = L * L.transpose();
-  ordered.bottomRightCorner(columns - inner, columns - inner) += m.factor.rbegin()->second.H;
-  const Eigen::MatrixXd C = ordered.llt().solve(Eigen::MatrixXd::Identity(columns, columns));
-  Eigen::MatrixXd inverse(columns, columns);
-  for (Eigen::Index i = 0; i < columns; ++i)
-    for (Eigen::Index j = 0; j < columns; ++j)
-      inverse(column[static_cast<size_t>(i)], column[static_cast<size_t>(j)]) = C(i, j);
   return inverse;
 }
 

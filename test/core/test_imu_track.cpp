@@ -83,7 +83,7 @@ TEST(ImuTrackTest, IsBetterThanThePosesAndKnowsHowMuch) {
   for (const auto& c : cases) {
     const SimulatorOptions truth = Truth(410, c.duration_s, c.pose_std);
     const Calibration result = Calibrate({}, Simulate(truth));
-    const ImuTrack track(result.solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+    const ImuTrack track(result.solution, 0, 0, TrackClock::kImu, 2.0);
     const Errors errors(track, truth, [](const ImuState&) { return true; });
     EXPECT_GT(errors.count, 0.98 * truth.gyro_rate_hz * c.duration_s);
     EXPECT_LT(errors.PositionRms(), c.ratio * c.pose_std);
@@ -101,7 +101,7 @@ TEST(ImuTrackTest, IsTheMotionAndNotItsMeanByTheGyroscopesFilter) {
   truth.effects.gyro_filter_hz = 12.0;  // the mean is 0.9 mrad off
   const Calibration result = Calibrate({}, Simulate(truth));
   EXPECT_NEAR(result.imus[0].gyro_smoothing, std::pow(2.0 * M_PI * 12.0, -2), 2e-5);
-  const ImuTrack track(result.solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+  const ImuTrack track(result.solution, 0, 0, TrackClock::kImu, 2.0);
   const TrueTrajectory trajectory(truth);
   // The filter is late, which is part of the time shift: the clock of the poses is not.
   const int64_t epoch_ns = result.solution->pose_epochs_ns[0] - truth.start_ns;
@@ -123,7 +123,7 @@ TEST(ImuTrackTest, CarriesAcrossGapsWithinItsSigmas) {
   Withhold(
       truth, [](double t) { return std::fmod(t, 10.0) > 9.0; }, &data);
   const Calibration result = Calibrate({}, data);
-  const ImuTrack track(result.solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+  const ImuTrack track(result.solution, 0, 0, TrackClock::kImu, 2.0);
   ASSERT_EQ(track.gaps().size(), 3u);
   const Errors carried(track, truth, [](const ImuState& x) { return x.is_carried; });
   EXPECT_GT(carried.count, 590.0);
@@ -146,7 +146,7 @@ TEST(ImuTrackTest, CarriesAcrossGapsWithinItsSigmas) {
     }
   }
 
-  const ImuTrack short_ones(result.solution, 0, 0, nullptr, TrackClock::kImu, 0.5);
+  const ImuTrack short_ones(result.solution, 0, 0, TrackClock::kImu, 0.5);
   EXPECT_FALSE(short_ones.At(9.5));
   EXPECT_TRUE(short_ones.At(8.5));
   EXPECT_TRUE(track.At(9.5));
@@ -169,7 +169,7 @@ TEST(ImuTrackTest, LeavesOutWhatTheImuCannotTell) {
   }
   const Calibration result = Calibrate({}, data);
   ASSERT_TRUE(result.solution);
-  const ImuTrack track(result.solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+  const ImuTrack track(result.solution, 0, 0, TrackClock::kImu, 2.0);
   ASSERT_EQ(track.gaps().size(), 2u);
   for (const TrackGap& gap : track.gaps()) {
     EXPECT_TRUE(gap.carried.empty());
@@ -190,7 +190,7 @@ TEST(ImuTrackTest, ARunWithoutATrajectoryIsPartOfTheGap) {
   ConditionedData conditioned = ConditionData(CalibrationOptions(), data);
   solution->trajectories[0] =
       std::make_shared<const PoseTrajectory>(FitTrajectory(CalibrationOptions(), &conditioned));
-  const ImuTrack track(solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+  const ImuTrack track(solution, 0, 0, TrackClock::kImu, 2.0);
   ASSERT_EQ(track.gaps().size(), 1u);
   EXPECT_NEAR(track.gaps()[0].begin, 7.5, 0.05);
   EXPECT_NEAR(track.gaps()[0].end, 16.0, 0.05);
@@ -221,7 +221,7 @@ SimulatorOptions* ImuTrackOfOneTest::truth_ = nullptr;
 Calibration* ImuTrackOfOneTest::result_ = nullptr;
 
 TEST_F(ImuTrackOfOneTest, BiasesAreWithinTheirSigmas) {
-  const ImuTrack track(result_->solution, 0, 0, nullptr, TrackClock::kPoses, 2.0);
+  const ImuTrack track(result_->solution, 0, 0, TrackClock::kPoses, 2.0);
   for (double t = 1.0; t < 19.0; t += 1.0) {
     const ImuState x = *track.At(t);
     Vector6d e;
@@ -234,8 +234,8 @@ TEST_F(ImuTrackOfOneTest, BiasesAreWithinTheirSigmas) {
 
 TEST_F(ImuTrackOfOneTest, StampsAreThoseOfEitherClock) {
   const SessionData data = Simulate(*truth_);
-  const ImuTrack on_imu(result_->solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
-  const ImuTrack on_poses(result_->solution, 0, 0, nullptr, TrackClock::kPoses, 2.0);
+  const ImuTrack on_imu(result_->solution, 0, 0, TrackClock::kImu, 2.0);
+  const ImuTrack on_poses(result_->solution, 0, 0, TrackClock::kPoses, 2.0);
   const auto imu = on_imu.Instants(0.0), poses = on_poses.Instants(0.0);
   ASSERT_EQ(imu.size(), data.imus[0].gyro.size());
   ASSERT_EQ(poses.size(), imu.size());
@@ -264,7 +264,7 @@ TEST_F(ImuTrackOfOneTest, StampsAreThoseOfEitherClock) {
 }
 
 TEST_F(ImuTrackOfOneTest, SamplesAreOfOneInstant) {
-  const ImuTrack track(result_->solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+  const ImuTrack track(result_->solution, 0, 0, TrackClock::kImu, 2.0);
   const auto samples = track.Samples();
   ASSERT_GT(samples.size(), 3990u);
   const TrueTrajectory trajectory(*truth_);
@@ -328,7 +328,7 @@ TEST(ImuTrackTest, OfAGivenTrajectoryHasNoCovariance) {
   CalibrationOptions options;
   options.method = Method::kGp;
   const Calibration result = Calibrate(options, Simulate(truth));
-  const ImuTrack track(result.solution, 0, 0, nullptr, TrackClock::kImu, 2.0);
+  const ImuTrack track(result.solution, 0, 0, TrackClock::kImu, 2.0);
   EXPECT_FALSE(track.has_covariance());
   const ImuState x = *track.At(7.0);
   EXPECT_TRUE(x.covariance.isZero(0.0));

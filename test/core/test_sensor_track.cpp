@@ -148,8 +148,7 @@ TEST_F(SensorTrackTest, IsWhereTheSensorWasOnEitherClock) {
     EXPECT_EQ(even[7].stamp_ns, even[0].stamp_ns + 70'000'000);
     EXPECT_NEAR(static_cast<double>(even.size()), 2000.0, 20.0);
     ExpectTrue(truth, track, even, truth.pose_sensors[0].time_shift_s);
-    const SensorTrack on_poses(result.solution, 0, result.pose_sensors[0], nullptr,
-                               TrackClock::kPoses);
+    const SensorTrack on_poses(result.solution, 0, result.pose_sensors[0], TrackClock::kPoses);
     ExpectTrue(truth, on_poses, on_poses.Instants(0.0), 0.0);
     ExpectTrue(truth, on_poses, on_poses.Instants(100.0), 0.0);
     EXPECT_EQ(track.has_covariance(), has_imu);
@@ -160,11 +159,11 @@ TEST_F(SensorTrackTest, IsWhereTheSensorWasOnEitherClock) {
 /// Each part of the covariance alone.
 TEST_F(SensorTrackTest, CovarianceIsOfMarkerMountAndClock) {
   const Calibration result = Solve(Truth(), true);
-  const auto covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
+  const TrajectoryCovariance covariance(result.solution);
   PoseSensorCalibration sensor = result.pose_sensors[0];
   const double t = 6.3, h = 1e-5;
   const auto at = [&](const PoseSensorCalibration& s, TrackClock clock, double time) {
-    return SensorTrack(result.solution, 0, s, covariance, clock).At(time).value();
+    return SensorTrack(result.solution, 0, s, clock).At(time).value();
   };
   const auto difference = [](const ImuState& a, const ImuState& b) {
     Eigen::Matrix<double, 12, 1> d;
@@ -175,12 +174,12 @@ TEST_F(SensorTrackTest, CovarianceIsOfMarkerMountAndClock) {
   // The marker's: that of an IMU whose mount is known.
   sensor.covariance.setZero();
   sensor.T_MS = result.imus[0].T_MI;
-  const SessionTrajectory trajectory(result.solution, 0, covariance);
+  const SessionTrajectory trajectory(result.solution, 0);
   SessionTrajectory::StateJacobian J;
   ASSERT_TRUE(trajectory.Imu(0, t, &J));
   constexpr int kPoints = 6 * kSplineOrder;
   const Eigen::MatrixXd C =
-      covariance->At(covariance->ControlPoints(0, result.solution->splines[0].Locate(t)->first));
+      covariance.At(covariance.ControlPoints(0, result.solution->splines[0].Locate(t)->first));
   const Eigen::MatrixXd by_points = J.topLeftCorner<12, kPoints>();
   const auto of_marker = at(sensor, TrackClock::kPoses, t).covariance;
   EXPECT_TRUE(of_marker.isApprox(by_points * C * by_points.transpose(), 1e-6));

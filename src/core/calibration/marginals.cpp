@@ -117,8 +117,8 @@ class ReducedProblem {
   /// Of columns of what is calibrated by a part, all else that is calibrated or could be being
   /// known.
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
-  /// Of H, as far as it is kept; then it is gone.
-  Panels TakeFactor();
+  /// Marginals::inverse, in place of the factor, which is gone then.
+  std::shared_ptr<const Panels> TakeInverse();
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
 
   const std::vector<Part>& halves() const { return halves_; }
@@ -217,10 +217,13 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   return estimate;
 }
 
-Panels ReducedProblem::TakeFactor() {
-  Panels factor = eliminated_->TakeFactor();
-  if (!factor.empty()) factor.rbegin()->second = {all_.H, {}};
-  return factor;
+std::shared_ptr<const Panels> ReducedProblem::TakeInverse() {
+  Panels panels = eliminated_->TakeFactor();
+  const Eigen::Index size = all_.H.rows();
+  const Eigen::MatrixXd border = SolvePositive(all_.H, Eigen::MatrixXd::Identity(size, size));
+  if (panels.empty() || !border.allFinite()) return nullptr;
+  elimination_->Invert(border, &panels);
+  return std::make_shared<const Panels>(std::move(panels));
 }
 
 std::vector<ReducedProblem::Prior> ReducedProblem::FindPriors() const {
@@ -432,7 +435,7 @@ Marginals FindMarginals(LeastSquares* solved) {
   FindSessions(problem, order, estimate, functionals, fitted, functionals.basis * marginal.Step(),
                &result);
   result.elimination = problem.elimination();
-  result.factor = problem.TakeFactor();
+  result.inverse = problem.TakeInverse();
   result.calibrated_end = order.gravity;
   result.trajectory_begin = order.trajectory;
   return result;

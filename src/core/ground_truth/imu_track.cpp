@@ -302,13 +302,12 @@ ImuState Interpolate(const ImuState& a, const ImuState& b, double t) {
 }  // namespace
 
 ImuTrack::ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
-                   const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
-                   double max_gap_s)
+                   TrackClock clock, double max_gap_s)
     : solution_(solution),
       session_(session),
       imu_(imu),
       clock_(clock),
-      trajectory_(solution, session, covariance) {
+      trajectory_(solution, session) {
   for (const SensorModel& model : solution->models)
     if (model.quantity == Quantity::kGyro && model.session == session && model.imu == imu)
       gyro_noise_ = model.noise;

@@ -81,7 +81,7 @@ MarkerState<double> Sharpened(const PoseTrajectory& gp, double t, double s_R, do
 TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>& solution)
     : solution_(solution) {
   const Marginals& m = solution->marginals;
-  if (m.factor.empty())
+  if (!m.inverse)
     throw InputError(
         "the covariance of the trajectory was not kept: it needs a larger max_factor_mb");
   int column = m.calibrated_end;
@@ -104,12 +104,6 @@ TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>
       add(errors->knots.values, 3 * errors->knots.values.size());
   for (const CorrectionSplines& splines : solution->splines)
     for (const auto* points : {&splines.d, &splines.phi}) add(*points, 3 * points->size());
-
-  const Eigen::MatrixXd& H = m.factor.rbegin()->second.H;
-  const Eigen::MatrixXd border = SolvePositive(H, Eigen::MatrixXd::Identity(H.rows(), H.cols()));
-  if (!border.allFinite()) throw DataError("the trajectory is not determined");
-  inverse_ = m.factor;
-  m.elimination->Invert(border, &inverse_);
 }
 
 TrajectoryCovariance::Columns TrajectoryCovariance::Kept(int first, int count) const {
@@ -162,13 +156,13 @@ TrajectoryCovariance::Columns TrajectoryCovariance::BiasKnotPair(size_t session,
 }
 
 Eigen::MatrixXd TrajectoryCovariance::At(const Columns& columns) const {
+  const Marginals& m = solution_->marginals;
   const auto size = static_cast<Eigen::Index>(columns.size());
   Eigen::MatrixXd C = Eigen::MatrixXd::Zero(size, size);
   for (Eigen::Index i = 0; i < size; ++i)
     for (Eigen::Index j = 0; j <= i; ++j) {
       const int row = columns[static_cast<size_t>(i)], column = columns[static_cast<size_t>(j)];
-      if (row >= 0 && column >= 0)
-        C(i, j) = C(j, i) = solution_->marginals.elimination->At(inverse_, row, column);
+      if (row >= 0 && column >= 0) C(i, j) = C(j, i) = m.elimination->At(*m.inverse, row, column);
     }
   return C;
 }
@@ -179,11 +173,6 @@ Eigen::MatrixXd TrajectoryCovariance::Of(const Eigen::MatrixXd& J,
   for (const Columns& part : parts) all.insert(all.end(), part.begin(), part.end());
   return Propagate(J, At(all));
 }
-
-SessionTrajectory::SessionTrajectory(const std::shared_ptr<const Solution>& solution,
-                                     size_t session,
-                                     const std::shared_ptr<const TrajectoryCovariance>& covariance)
-    : solution_(solution), session_(session), covariance_(covariance) {}
 
 std::optional<BodyState> SessionTrajectory::Body(const Rigid3& T_MB, double t,
                                                  StateJacobian* J) const {
@@ -226,17 +215,16 @@ std::optional<BodyState> SessionTrajectory::Body(const Rigid3& T_MB, double t,
   return state;
 }
 
-std::shared_ptr<const TrajectoryCovariance> SessionTrajectory::covariance() const {
-  if (!covariance_ && !solution_->splines.empty())
-    covariance_ = std::make_shared<const TrajectoryCovariance>(solution_);
-  return covariance_;
+const TrajectoryCovariance* SessionTrajectory::covariance() const {
+  if (!covariance_ && !solution_->splines.empty()) covariance_.emplace(solution_);
+  return covariance_ ? &*covariance_ : nullptr;
 }
 
 std::optional<BodyCovariance> SessionTrajectory::MarkerCovariance(double t,
                                                                   const Rigid3& T_MB) const {
   StateJacobian J;
   if (solution_->splines.empty() || !Body(T_MB, t, &J)) return std::nullopt;
-  const auto own = covariance();
+  const TrajectoryCovariance* const own = covariance();
   const size_t first = solution_->splines[session_].Locate(t)->first;
   return BodyCovariance(own->Of(J.leftCols<2 * kPoints>(), {own->ControlPoints(session_, first)}));
 }
@@ -253,7 +241,7 @@ std::optional<BodyCovariance> SessionTrajectory::ImuCovariance(size_t imu, doubl
   if (is_on_its_clock) rate.head<12>() << state->omega_B, state->v_W, state->alpha_B, state->a_W;
   Eigen::Matrix<double, 18, kInputs + 4> with_clock;
   with_clock << J, rate * ByClock(clock, t_imu);
-  const auto own = covariance();
+  const TrajectoryCovariance* const own = covariance();
   const size_t first = solution_->splines[session_].Locate(t)->first;
   return BodyCovariance(own->Of(
       with_clock,
@@ -262,8 +250,8 @@ std::optional<BodyCovariance> SessionTrajectory::ImuCovariance(size_t imu, doubl
 }
 
 double SessionTrajectory::ClockVariance(size_t imu, double t) const {
-  const auto own = covariance();
-  if (!own) return 0.0;
+  const TrajectoryCovariance* const own = covariance();
+  if (own == nullptr) return 0.0;
   const ImuSessionEstimate& clock = solution_->estimate.sessions[session_].imus[imu];
   const double t_imu = clock.ImuTime(t);
   return own->Of(ByClock(clock, t_imu), {own->Clock(session_, imu, t_imu)})(0, 0);
@@ -281,8 +269,8 @@ ImuBiases SessionTrajectory::Biases(size_t imu, double t) const {
 }
 
 std::optional<Matrix6d> SessionTrajectory::BiasCovariance(size_t imu, double t) const {
-  const auto own = covariance();
-  if (!own) return std::nullopt;
+  const TrajectoryCovariance* const own = covariance();
+  if (own == nullptr) return std::nullopt;
   const ImuSessionEstimate& biases = solution_->estimate.sessions[session_].imus[imu];
   std::vector<TrajectoryCovariance::Columns> knots;
   Eigen::Matrix<double, 6, 12> J = Eigen::Matrix<double, 6, 12>::Zero();

@@ -35,15 +35,6 @@ PoseStd Rms(const std::vector<Rigid3>& errors) {
 
 }  // namespace
 
-SensorTrack::SensorTrack(const std::shared_ptr<const Solution>& solution, size_t session,
-                         const PoseSensorCalibration& sensor,
-                         const std::shared_ptr<const TrajectoryCovariance>& covariance,
-                         TrackClock clock)
-    : sensor_(sensor),
-      session_(session),
-      clock_(clock),
-      trajectory_(solution, session, covariance) {}
-
 std::vector<ImuTrack::Instant> SensorTrack::Instants(double rate_hz) const {
   const int64_t epoch_ns = trajectory_.epoch_ns();
   const bool is_own_clock = clock_ == TrackClock::kImu;

@@ -87,13 +87,12 @@ struct Series {
 /// The series of one session that was solved; names of files begin with `prefix`.
 class SolvedSession {
  public:
-  SolvedSession(const CalibrationRun& run, size_t session,
-                const std::shared_ptr<const TrajectoryCovariance>& covariance, std::string prefix)
+  SolvedSession(const CalibrationRun& run, size_t session, std::string prefix)
       : s_(session),
         solution_(*run.result.solution),
         estimate_(solution_.estimate.sessions[session]),
-        has_covariance_(covariance != nullptr),
-        trajectory_(run.result.solution, session, covariance),
+        has_covariance_(solution_.marginals.inverse != nullptr),
+        trajectory_(run.result.solution, session),
         prefix_(std::move(prefix)) {}
 
   /// [s] of a pose.
@@ -332,13 +331,11 @@ DataCheck CheckSolved(const CalibrationOptions& options, const SessionData& reco
   return check;
 }
 
-YAML::Node WriteSession(const CalibrationRun& run, size_t s,
-                        const std::shared_ptr<const TrajectoryCovariance>& covariance,
-                        const std::string& prefix) {
+YAML::Node WriteSession(const CalibrationRun& run, size_t s, const std::string& prefix) {
   const SessionData& recorded = run.sessions[s];
   const RecordingInfo info = WithPrintableNames(run.infos[s]);
   std::optional<SolvedSession> solved;
-  if (run.result.solution) solved.emplace(run, s, covariance, prefix);
+  if (run.result.solution) solved.emplace(run, s, prefix);
   WriteRecorded(run.options, recorded, solved, prefix);
   const DataCheck check = solved ? CheckSolved(run.options, recorded, run.result.sessions[s])
                                  : CheckData(run.options, recorded);
@@ -415,9 +412,6 @@ YAML::Node YamlList(const Eigen::VectorXd& values) {
 void WriteReportData(const CalibrationRun& run, const std::string& folder) {
   const Calibration& result = run.result;
   const bool is_refused = !run.refusal.empty();
-  std::shared_ptr<const TrajectoryCovariance> covariance;
-  if (result.solution && !result.solution->marginals.factor.empty())
-    covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
   std::string command = ReadAll("/proc/self/cmdline");  // words end with 0
   std::replace(command.begin(), command.end(), '\0', ' ');
   YAML::Node report;
@@ -430,8 +424,7 @@ void WriteReportData(const CalibrationRun& run, const std::string& folder) {
   report["solved"] = result.solution != nullptr;
   report["options"] = YAML::Load(ToYaml(run.options));
   for (size_t s = 0; s < run.sessions.size(); ++s)
-    report["sessions"].push_back(
-        WriteSession(run, s, covariance, folder + "/s" + std::to_string(s)));
+    report["sessions"].push_back(WriteSession(run, s, folder + "/s" + std::to_string(s)));
   WriteFile(folder + "/report.yaml", YAML::Dump(report));
   if (result.solution)
     WriteFile(folder + "/result.yaml", ToYaml(result, run.infos, run.options, {run.run_id}));

@@ -460,21 +460,17 @@ std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,
                                            const CalibrationRun& run, OutputFiles* outputs) {
   const Calibration& result = run.result;
   std::vector<std::string> lines;
-  std::shared_ptr<const TrajectoryCovariance> covariance;
-  if (!targets.empty() && !result.solution->splines.empty())
-    covariance = std::make_shared<const TrajectoryCovariance>(result.solution);
   const TrackClock clock = ParseClock("trajectory_clock", request.clock);
   for (const TrajectoryTarget& target : targets) {
     const auto& [path, format, session, place, is_sensor] = target;
     const RecordingInfo& info = run.infos[session];
     if (is_sensor) {
-      const SensorTrack track(result.solution, session, result.pose_sensors[place], covariance,
-                              clock);
+      const SensorTrack track(result.solution, session, result.pose_sensors[place], clock);
       lines.push_back(path + ": " + WriteSensor(target, track, request.rate_hz, info, outputs));
       continue;
     }
     const ImuSession& imu = result.sessions[session].imus[place];
-    const ImuTrack track(result.solution, session, place, covariance, clock, request.max_gap_s);
+    const ImuTrack track(result.solution, session, place, clock, request.max_gap_s);
     const TrajectoryCount count =
         WriteTrajectory(target,
                         {track.Instants(request.rate_hz), [&](double t) { return track.At(t); },

@@ -39,9 +39,9 @@ struct Marginals {
   /// the bias knots, gyroscope and accelerometer of each IMU, knots of the clocks, then of each
   /// session those of the slow errors, and the control points.
   std::shared_ptr<const Elimination> elimination;
-  /// Of H; of the border H itself, less what the rest takes. Empty when it would take more than
-  /// CalibrationOptions::max_factor_mb.
-  Panels factor;
+  /// Elements of H^-1 where its factor has any. Null when that would take more than
+  /// CalibrationOptions::max_factor_mb, and when the trajectory is not determined.
+  std::shared_ptr<const Panels> inverse;
 
   int calibrated_end = 0;    ///< column of H after what is calibrated
   int trajectory_begin = 0;  ///< first column of H of the control points

@@ -37,8 +37,7 @@ class ImuTrack {
   /// Gaps of the poses of up to `max_gap_s` are carried by the IMU where that is possible, see
   /// doc/trajectory.md; longer ones are left out, and all of them with method `gp`.
   ImuTrack(const std::shared_ptr<const Solution>& solution, size_t session, size_t imu,
-           const std::shared_ptr<const TrajectoryCovariance>& covariance, TrackClock clock,
-           double max_gap_s);
+           TrackClock clock, double max_gap_s);
 
   struct Instant {
     int64_t stamp_ns;  ///< on the clock of the track

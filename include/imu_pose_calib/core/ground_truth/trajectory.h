@@ -14,10 +14,10 @@
 namespace imu_pose_calib {
 
 /// Covariance of parameters that act at one instant, from the normal equations of a joint solve;
-/// what is held is without error. Making it takes about as long as a pass of the solve.
+/// what is held is without error.
 class TrajectoryCovariance {
  public:
-  /// Throws DataError when the trajectory is not determined.
+  /// Throws InputError when there is none.
   explicit TrajectoryCovariance(const std::shared_ptr<const Solution>& solution);
 
   /// Columns of the parameters, one for each degree of freedom; -1 for what is held.
@@ -43,7 +43,6 @@ class TrajectoryCovariance {
 
   std::shared_ptr<const Solution> solution_;
   std::map<const void*, int> first_;  ///< columns, by where the first value is in the solution
-  Panels inverse_;                    ///< elements of H^-1, what is held being known
 };
 
 /// Motion of a body B at one instant: of the marker or of an IMU.
@@ -72,9 +71,8 @@ struct ImuBiases {
 /// that of S1. Not for several threads at a time.
 class SessionTrajectory {
  public:
-  /// The covariance is made when it is asked for, unless it is given: sessions can share it.
-  SessionTrajectory(const std::shared_ptr<const Solution>& solution, size_t session,
-                    const std::shared_ptr<const TrajectoryCovariance>& covariance = nullptr);
+  SessionTrajectory(const std::shared_ptr<const Solution>& solution, size_t session)
+      : solution_(solution), session_(session) {}
 
   /// Stamp [ns, pose clock] at which t = 0.
   int64_t epoch_ns() const { return solution_->pose_epochs_ns[session_]; }
@@ -91,8 +89,7 @@ class SessionTrajectory {
   ImuBiases Biases(size_t imu, double t) const;
 
   /// By the model's noise, calibration included; nothing where there is no motion, and with method
-  /// `gp`. The first call takes about as long as a pass of the solve. `T_MB`: of a frame whose
-  /// place is known.
+  /// `gp`. `T_MB`: of a frame whose place is known.
   std::optional<BodyCovariance> MarkerCovariance(double t, const Rigid3& T_MB = {}) const;
   /// `is_on_its_clock`: where the clock of the IMU shows the time that goes with t, and errors of
   /// the clock count too, except in accelerations.
@@ -102,13 +99,13 @@ class SessionTrajectory {
   double ClockVariance(size_t imu, double t) const;
   /// Of gyroscope and accelerometer, 3 each, also where the motion has a gap.
   std::optional<Matrix6d> BiasCovariance(size_t imu, double t) const;
-  /// Null with method `gp`.
-  std::shared_ptr<const TrajectoryCovariance> covariance() const;
+  /// Null with method `gp`. Throws InputError when the solution has none.
+  const TrajectoryCovariance* covariance() const;
 
  private:
   std::shared_ptr<const Solution> solution_;
   size_t session_;
-  mutable std::shared_ptr<const TrajectoryCovariance> covariance_;
+  mutable std::optional<TrajectoryCovariance> covariance_;
 };
 
 }  // namespace imu_pose_calib

@@ -16,9 +16,8 @@ class SensorTrack {
  public:
   /// The session must have the sensor. TrackClock::kImu: its own.
   SensorTrack(const std::shared_ptr<const Solution>& solution, size_t session,
-              const PoseSensorCalibration& sensor,
-              const std::shared_ptr<const TrajectoryCovariance>& covariance = nullptr,
-              TrackClock clock = TrackClock::kImu);
+              const PoseSensorCalibration& sensor, TrackClock clock = TrackClock::kImu)
+      : sensor_(sensor), session_(session), clock_(clock), trajectory_(solution, session) {}
 
   /// Of its poses that were used or, for a rate > 0 [Hz], evenly from the first of them to the last
   /// one.
