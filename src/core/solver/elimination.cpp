@@ -313,12 +313,14 @@ void Elimination::SubstituteBack(const Panels& panels, Eigen::VectorXd* x) const
     if (entry->first == border_panel()) continue;
     const Shape& shape = shapes_[Index(entry->first)];
     const Eigen::MatrixXd& L = entry->second.H;
-    Eigen::VectorXd own = -entry->second.rhs.at(0);
+    Eigen::VectorXd below(shape.height - shape.columns);
     for (size_t r = 0; r < shape.rows.size(); ++r) {
       const Block& row = At(shape.rows[r]);
-      own -= L.middleRows(shape.row_offset[r], row.size).transpose() *
-             x->segment(row.column, row.size);
+      below.segment(shape.row_offset[r] - shape.columns, row.size) =
+          x->segment(row.column, row.size);
     }
+    Eigen::VectorXd own = -entry->second.rhs.at(0);
+    own.noalias() -= L.bottomRows(below.size()).transpose() * below;
     L.topRows(shape.columns).triangularView<Eigen::Lower>().transpose().solveInPlace(own);
     for (int k = shape.first; k < shape.end; ++k)
       x->segment(At(k).column, At(k).size) = own.segment(At(k).offset, At(k).size);
