@@ -5,6 +5,7 @@
 #include <functional>
 #include <optional>
 #include <random>
+#include <utility>
 
 #include "imu_pose_calib/core/base/so3.h"
 
@@ -97,7 +98,7 @@ std::vector<Vector3d> SlowError(double sigma, double rate_hz, size_t count, std:
 void CarryOn(double sigma, double rate_hz, std::mt19937 random, std::vector<PoseSample>* poses) {
   const std::vector<PoseSample> exact = *poses;
   const double h = 1.0 / rate_hz;
-  const auto period = std::max<size_t>(1, static_cast<size_t>(std::lround(rate_hz / kUpdateRate)));
+  int64_t update = -1;
   Vector3d error = Vector3d::Zero(), velocity = error;
   for (size_t k = 0; k < exact.size(); ++k) {
     if (k >= 2) {
@@ -106,7 +107,8 @@ void CarryOn(double sigma, double rate_hz, std::mt19937 random, std::vector<Pose
       velocity += kCarriedScale * h * acceleration;
       error += h * velocity;
     }
-    if (k % period == 0) {
+    if (const auto next = static_cast<int64_t>(static_cast<double>(k) * kUpdateRate / rate_hz);
+        std::exchange(update, next) != next) {
       const Vector3d innovation = Gaussian(&random, sigma) - error;
       error += kPositionGain * innovation;
       velocity += kVelocityGain * innovation;

@@ -37,12 +37,18 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
     std::vector<int> acting;  // of those eliminated later, given which others tell nothing of it
     for (const int other : later)
       if (m.elimination->At(*m.inverse, other, own) != 0.0) acting.push_back(other);
-    Eigen::VectorXd known(acting.size());
-    for (size_t k = 0; k < acting.size(); ++k)
-      known[static_cast<Eigen::Index>(k)] = m.elimination->At(*m.inverse, acting[k], own);
-    const Eigen::VectorXd weights = SolvePositive(inverse(acting, acting), known);
-    inverse(later, own) = inverse(later, acting) * weights;
-    inverse(own, later) = inverse(later, own).transpose();
+    const auto count = static_cast<Eigen::Index>(acting.size());
+    Eigen::MatrixXd C(count, count), with(inverse.rows(), count);
+    Eigen::VectorXd known(count);
+    for (Eigen::Index j = 0; j < count; ++j) {
+      const int of = acting[static_cast<size_t>(j)];
+      with.col(j) = inverse.col(of);
+      known[j] = m.elimination->At(*m.inverse, of, own);
+      for (Eigen::Index i = 0; i < count; ++i)
+        C(i, j) = inverse(acting[static_cast<size_t>(i)], of);
+    }
+    const Eigen::VectorXd found = with * SolvePositive(C, known);
+    for (const int other : later) inverse(other, own) = inverse(own, other) = found[other];
     inverse(own, own) = m.elimination->At(*m.inverse, own, own);
     later.push_back(own);
   }

@@ -30,10 +30,10 @@ PoseSample ToMarkerPose(const CalibrationOptions& options, PoseSample recorded);
 /// Poses from one measurement to the next of a filter that carries them on with an IMU in between,
 /// or of an interpolation: there, they jump or bend, and no pose in between tells anything new
 /// (doc/math.md, "Fused poses"). 1 when the poses show no such beat. In order of time.
-size_t FindUpdatePeriod(const std::vector<PoseSample>& poses);
+double FindUpdatePeriod(const std::vector<PoseSample>& poses);
 
 /// Keeps one of `period` poses, evenly in time, and returns how many have gone.
-size_t KeepOneOf(size_t period, std::vector<PoseSample>* poses);
+size_t KeepOneOf(double period, std::vector<PoseSample>* poses);
 
 /// Stage S0. Every dropped sample is counted in a report.
 /// Throws DataError naming the number and the bound when a stream is empty, too short, mostly
