@@ -179,6 +179,29 @@ TEST(Elimination, OfAPartLeavesOutWhatActsElsewhere) {
   EXPECT_LT((reduced.H - expected).norm(), 1e-9 * expected.norm());
 }
 
+/// A half of a recording sees of what it shares with the other one what its last sample does.
+TEST(Elimination, OfAPartToldTooLittleTellsNothing) {
+  for (uint32_t seed = 10; seed < 30; ++seed) {
+    RandomEquations e(1, 60, seed);
+    std::vector<Panels> windows(3);
+    Panels shared;
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal;
+    std::vector<int> places;
+    Eigen::Index size = 0;
+    for (const int block : e.residuals[40]) {
+      places.push_back(e.elimination->place(block));
+      size += e.sizes[static_cast<size_t>(block)];
+    }
+    std::sort(places.begin(), places.end());
+    const MatrixXd J = MatrixXd::NullaryExpr(5, size, [&] { return normal(random); });
+    e.elimination->Add(places, J.transpose() * J, &windows.back());
+    const Reduced reduced =
+        EliminateAll(*e.elimination, VectorXd::Ones(1), false, &windows, &shared);
+    EXPECT_LT(reduced.H.cwiseAbs().maxCoeff(), 1e-9) << seed;
+  }
+}
+
 TEST(Elimination, OfSingularEquationsIsNotFinite) {
   RandomEquations e(1, 20, 5);
   // A block that acts as if its information were negative.

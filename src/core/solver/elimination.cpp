@@ -13,6 +13,9 @@ namespace {
 /// Columns of a panel: about as many as a control point acts together with, so that the dense
 /// products pay.
 constexpr int kPanelColumns = 24;
+/// Relative information that is added to each column: what part of the residuals tells of columns
+/// that it shares with others may be singular, and rounding must not make it less than that.
+constexpr double kRounding = 1e-12;
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 size_t Index(int k) { return static_cast<size_t>(k); }
@@ -267,6 +270,8 @@ void Elimination::EliminatePanels(int begin, int end, const Eigen::VectorXd& wei
 Rest Elimination::EliminateWindow(int window, const Eigen::VectorXd& weights, bool keeps,
                                   Panels* panels) const {
   Find(border_panel(), true, panels);
+  for (auto& [p, panel] : *panels)
+    if (p != border_panel()) panel.H.diagonal() *= 1.0 + kRounding;
   Rest rest;
   EliminatePanels(first_panel_[Index(window)], first_panel_[Index(window) + 1], weights, keeps,
                   panels, &rest);
