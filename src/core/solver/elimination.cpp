@@ -325,7 +325,7 @@ void Elimination::SubstituteBack(const Panels& panels, Eigen::VectorXd* x) const
           x->segment(row.column, row.size);
     }
     Eigen::VectorXd own = -entry->second.rhs.at(0);
-    own.noalias() -= L.bottomRows(below.size()).transpose() * below;
+    own -= L.bottomRows(below.size()).transpose().lazyProduct(below);
     L.topRows(shape.columns).triangularView<Eigen::Lower>().transpose().solveInPlace(own);
     for (int k = shape.first; k < shape.end; ++k)
       x->segment(At(k).column, At(k).size) = own.segment(At(k).offset, At(k).size);
