@@ -110,6 +110,16 @@ TEST(Markers, VerdictIsInTheView) {
       }
 }
 
+/// rviz ends where one is not.
+TEST(Markers, PosesAreRotations) {
+  for (const Marker& marker : DrawMotionAround({0.0, 0.5, 1.0}).markers) {
+    if (marker.action != Marker::ADD) continue;
+    const auto& q = marker.pose.orientation;
+    EXPECT_NEAR(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z, 1.0, 1e-9)
+        << marker.ns << " " << marker.id;
+  }
+}
+
 /// Nor does it hide the motion.
 TEST(Markers, PanelIsAboveOrBelowTheMotion) {
   for (const double z : {0.0, 1.0, 1.2, 2.0})

@@ -68,7 +68,9 @@ class Drawing {
 
   void Label(const std::string& name, const Eigen::Vector3d& at, double height,
              const std::string& text, const Color& color = kWhite) {
-    Add(name, Marker::TEXT_VIEW_FACING, color, {0.0, 0.0, height}, {{}, at})->text = text;
+    Add(name, Marker::TEXT_VIEW_FACING, color, {0.0, 0.0, height},
+        {Eigen::Quaterniond::Identity(), at})
+        ->text = text;
   }
 
   void Frame(const std::string& name, const Rigid3& T_WX, double length) {
@@ -133,8 +135,9 @@ void DrawPanel(const LiveCalibration& live, const CalibrationStatus& status, Dra
         middle - Eigen::Vector3d(0.5 * kBarLength, 0.0, (i < 3 ? i : i + 0.4) * kLine);
     const double filled = std::max(0.002, shares[i] * kBarLength);
     const auto box = [&](double from, double length, double depth, const Color& color) {
-      drawing->Add("bars", Marker::CUBE, color, {length, depth, kBarHeight},
-                   {{}, left + Eigen::Vector3d(from + 0.5 * length, 0.0, 0.0)});
+      drawing->Add(
+          "bars", Marker::CUBE, color, {length, depth, kBarHeight},
+          {Eigen::Quaterniond::Identity(), left + Eigen::Vector3d(from + 0.5 * length, 0.0, 0.0)});
     };
     box(0.0, filled, 0.02, kAxisColors[i % 3]);
     box(filled, kBarLength - filled + 0.001, 0.01, kGray);
