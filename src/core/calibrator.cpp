@@ -162,6 +162,7 @@ void ReportSensors(const Solution& solution, Calibration* result) {
 /// Offsets of the clocks over time; sigmas enlarged as that of the time shift.
 void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* result) {
   for (size_t s = 0; s < result->sessions.size(); ++s) {
+    const SessionTrajectory trajectory(solution, s);
     for (size_t i = 0; i < result->imus.size(); ++i) {
       const ImuSessionEstimate& clock = solution->estimate.sessions[s].imus[i];
       if (!clock.is_present) continue;
@@ -175,7 +176,6 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
       const std::vector<double> knots =
           own.clock.wanders ? clock.walk.t : std::vector<double>{gyro.front().t, gyro.back().t};
       const bool has_covariance = own.clock.wanders && solution->marginals.inverse;
-      const SessionTrajectory trajectory(solution, s);
       const auto model_std = [&](double t) {
         return std::sqrt(trajectory.ClockVariance(i, clock.PoseTime(t)));
       };

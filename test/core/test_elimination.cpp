@@ -134,7 +134,7 @@ TEST_P(EliminationTest, InvertsAtItsPlaces) {
       EliminateAll(*e.elimination, VectorXd::Ones(e.B.cols()), true, &e.windows, &e.shared);
   for (Panels& own : e.windows) e.shared.merge(own);
   const Eigen::Index border = e.border_columns;
-  e.elimination->Invert(reduced.H.llt().solve(MatrixXd::Identity(border, border)), &e.shared);
+  e.elimination->Invert(reduced.H.llt().solve(MatrixXd::Identity(border, border)), 2, &e.shared);
   const MatrixXd expected = e.H.llt().solve(MatrixXd::Identity(e.H.rows(), e.H.rows()));
   for (Eigen::Index i = 0; i < e.H.rows(); ++i)
     for (Eigen::Index j = 0; j < e.H.rows(); ++j)

@@ -222,7 +222,7 @@ std::shared_ptr<const Panels> ReducedProblem::TakeInverse() {
   const Eigen::Index size = all_.H.rows();
   const Eigen::MatrixXd border = SolvePositive(all_.H, Eigen::MatrixXd::Identity(size, size));
   if (panels.empty() || !border.allFinite()) return nullptr;
-  elimination_->Invert(border, &panels);
+  elimination_->Invert(border, solved_.options.Threads(), &panels);
   return std::make_shared<const Panels>(std::move(panels));
 }
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/dense.h"
+#include "imu_pose_calib/core/base/parallel.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -332,13 +333,18 @@ void Elimination::SubstituteBack(const Panels& panels, Eigen::VectorXd* x) const
   }
 }
 
-void Elimination::Invert(const Eigen::MatrixXd& border, Panels* panels) const {
-  for (auto entry = panels->rbegin(); entry != panels->rend(); ++entry) {
+void Elimination::Invert(const Eigen::MatrixXd& border, int threads, Panels* panels) const {
+  (*panels)[border_panel()].H = border;
+  InvertPanels(first_panel_.back(), border_panel(), panels);
+  InParallel(threads, Index(windows()),
+             [&](size_t w) { InvertPanels(first_panel_[w], first_panel_[w + 1], panels); });
+}
+
+void Elimination::InvertPanels(int begin, int end, Panels* panels) const {
+  const auto first = panels->lower_bound(begin);
+  for (auto entry = panels->lower_bound(end); entry != first;) {
+    --entry;
     Eigen::MatrixXd& Z = entry->second.H;
-    if (entry->first == border_panel()) {
-      Z = border;
-      continue;
-    }
     const Shape& shape = shapes_[Index(entry->first)];
     const int below = shape.height - shape.columns;
     Eigen::MatrixXd later = Eigen::MatrixXd::Zero(below, below);  // lower triangle

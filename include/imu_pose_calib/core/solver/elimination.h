@@ -90,7 +90,7 @@ class Elimination {
   void SubstituteBack(const Panels& panels, Eigen::VectorXd* x) const;
   /// Replaces the factor by the elements of H^-1 at its places, given those of the border:
   /// Takahashi's recursion, as cheap as the factorisation.
-  void Invert(const Eigen::MatrixXd& border, Panels* panels) const;
+  void Invert(const Eigen::MatrixXd& border, int threads, Panels* panels) const;
   /// Of them, by columns; 0 where there is no place.
   double At(const Panels& panels, int row, int column) const;
 
@@ -115,6 +115,8 @@ class Elimination {
   void FindRows(const std::vector<std::vector<int>>& residuals);
   void EliminatePanels(int begin, int end, const Eigen::VectorXd& weights, bool keeps,
                        Panels* panels, Rest* rest) const;
+  /// Those before `end`, the last first, when those that they act on are inverted.
+  void InvertPanels(int begin, int end, Panels* panels) const;
   int border_panel() const { return static_cast<int>(shapes_.size()) - 1; }
   const Block& At(int place) const { return blocks_[static_cast<size_t>(place)]; }
   /// Null when it is not there and not created.
