@@ -450,6 +450,25 @@ TEST(JointCalibration, VibrationBeyondTheBandIsNotTheAccelerometersNoise) {
   EXPECT_LT(Normalised(result, truth).head<3>().cwiseAbs().maxCoeff(), 3.0);
 }
 
+/// Positions that are averaged over 63 ms follow S1 to 2 um, which is not how much they err.
+TEST(JointCalibration, PosesThatAreSmoothAreNotBelievedToTheirSmoothness) {
+  SimulatorOptions truth;
+  truth.motion = Motion::kTumble;
+  truth.duration_s = 63.0;
+  truth.seed = 1;
+  truth.pose_rate_hz = 76.0;
+  truth.gyro_rate_hz = truth.accel_rate_hz = 463.0;
+  truth.position_std = 2.1e-3;
+  truth.rotation_std = 8.2e-4;
+  truth.gyro_std = 1.4e-3;
+  truth.accel_std = 0.021;
+  truth.effects.shocks = 38.0;
+  truth.effects.fused_poses_s = 0.063;
+  const Calibration result = Calibrate({}, Simulate(truth));
+  EXPECT_EQ(result.status, Status::kOk) << result.message;
+  EXPECT_LT(Normalised(result, truth).head<3>().cwiseAbs().maxCoeff(), 3.0);
+}
+
 /// Nothing but the lever arm and gravity tells what both positions and the accelerometer average
 /// over; knots that hold more than the poses do, beside slow errors, let the two run away together.
 TEST(JointCalibration, WhatPositionsAndAccelerometerAverageAlikeStays) {
@@ -813,6 +832,7 @@ TEST(JointCalibration, WeighsPosesByTheNoiseTheyStateUpToAFactor) {
                 }));
   EXPECT_LT(stated.imus[0].Std().head<3>().norm(), 0.9 * silent.imus[0].Std().head<3>().norm());
   EXPECT_LT(Normalised(stated, truth).cwiseAbs().maxCoeff(), 4.5);
+  EXPECT_LT(stated.sessions[0].slow_errors.position, 1e-4);  // there are none
 }
 
 TEST(JointCalibration, DoesNotBelieveStatedNoiseThatTheResidualsContradict) {

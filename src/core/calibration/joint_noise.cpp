@@ -26,16 +26,16 @@ bool IsLinear(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kAccel;
 }
 
-/// What poses tell, as far as they state their noise, over what they would without that.
-double StatedInformation(const LeastSquares& joint, const SensorModel& model) {
-  if (!IsOfPoses(model.quantity)) return 1.0;
-  double sum = 0.0, count = 0.0;
+/// Of the noise of a sensor; of poses that state how theirs differs as they are weighed.
+double DensityOf(const LeastSquares& joint, const SensorModel& model) {
+  if (!IsOfPoses(model.quantity)) return model.Density();
+  double information = 0.0, count = 0.0;
   for (size_t i = 0; i < model.weights.size(); ++i) {
     const RecordedSample pose = joint.At(model, i);
-    sum += pose.count / (pose.scale * pose.scale);
+    information += pose.count / (pose.scale * pose.scale);
     count += pose.count;
   }
-  return sum / count;
+  return model.Density() * count / information;
 }
 
 /// Densities of the noise that sensors of one kind have together in a session, as they tell of the
@@ -50,8 +50,7 @@ struct Densities : std::map<Quantity, double> {
 Densities JointDensities(const LeastSquares& joint, size_t session) {
   Densities S;
   for (const SensorModel& model : joint.models)
-    if (model.session == session)
-      S[model.quantity] += StatedInformation(joint, model) / model.Density();
+    if (model.session == session) S[model.quantity] += 1.0 / DensityOf(joint, model);
   for (auto& [quantity, density] : S) density = 1.0 / density;
   return S;
 }
@@ -150,9 +149,11 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
   const SessionEstimate& estimate = joint.estimate->sessions[session];
   const SlowErrors& slow = is_linear ? estimate.position_errors : estimate.rotation_errors;
   std::vector<Noise> noises;
+  std::vector<double> white;  // densities that are set
   for (const size_t k : sensors) {
     const SensorModel& model = *joint.sensors[k].model;
-    const double expected = std::pow((*statistics)[k].spread.scale, 2) / model.rate_hz;
+    white.push_back(DensityOf(joint, model));
+    const double expected = std::pow((*statistics)[k].spread.scale / model.noise, 2) * white.back();
     // What errs slowly in an IMU is its bias.
     const bool is_pose = IsOfPoses(model.quantity);
     noises.push_back({expected, is_pose ? kInfinity : expected, kWhiteness});
@@ -163,9 +164,8 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
   const NoiseSpectrum& of_poses = (*statistics)[sensors[0]].spectrum;
   for (size_t f = 0; f < of_poses.density.size(); ++f) {
     const double omega2 = Omega2(NoiseSpectrum::Frequency(f)), gain = Gain(is_linear, omega2);
-    std::vector<double> densities;  // of the noise of each, as positions or rotations
-    for (const size_t k : sensors)
-      densities.push_back(joint.sensors[k].model->Density() / (k == sensors[0] ? 1.0 : gain));
+    std::vector<double> densities = white;  // of the noise of each, as positions or rotations
+    for (size_t k = 1; k < densities.size(); ++k) densities[k] /= gain;
     densities[0] += slow.std * slow.std * slow.Density(omega2);
     double information = 0.0;
     for (const double density : densities) information += 1.0 / density;
@@ -185,7 +185,8 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
   }
   const std::vector<double> x = FitDensities(noises, observations);
   for (size_t k = 0; k < sensors.size(); ++k)
-    (*statistics)[sensors[k]].noise = std::sqrt(x[k] * joint.sensors[sensors[k]].model->rate_hz);
+    (*statistics)[sensors[k]].noise =
+        joint.sensors[sensors[k]].model->noise * std::sqrt(x[k] / white[k]);
   (*statistics)[sensors[0]].slow_std = std::max(kLeastSlowError, std::sqrt(x.back()));
 }
 

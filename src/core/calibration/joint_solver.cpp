@@ -37,13 +37,18 @@ class JointSolver {
     Solution solution;
     solution.has_settled = false;
     StepSummary summary;
+    Build();
+    FindNoise();  // at the start already: how far poses can be believed, S1 does not know
     for (int pass = 0; pass < kMaxPasses && !solution.has_settled; ++pass) {
+      SetNoise();
       if (pass > 0) {
-        SetNoise();
         MoveTrajectories();
         ResampleImus();
       }
-      summary = Pass();
+      Build();
+      summary = problem_->Step();
+      iterations_ += summary.iterations;
+      FindNoise();
       solution.has_settled = pass > 0 && summary.is_whole && summary.moved < kSettled;
     }
     if (!std::isfinite(summary.moved)) ThrowNotConverged(options_);
@@ -62,15 +67,16 @@ class JointSolver {
   }
 
  private:
-  /// With the noise and the weights that are set; at first, all weights are 1.
-  StepSummary Pass() {
+  /// With the noise and the weights that are set.
+  void Build() {
     problem_.reset();  // never two of them at a time
     problem_ = BuildJointProblem(options_, sessions_, models_, estimate_, &splines_);
-    const StepSummary summary = problem_->Step();
-    iterations_ += summary.iterations;
+  }
+
+  /// What the residuals show where the estimate stands.
+  void FindNoise() {
     statistics_ = problem_->FindStatistics();
     FitNoise(*problem_, &statistics_);
-    return summary;
   }
 
   /// At their instants by the clocks as they stand.
@@ -122,7 +128,7 @@ class JointSolver {
   std::vector<SensorModel> models_;
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
-  std::vector<SensorStatistics> statistics_;  ///< of the last pass
+  std::vector<SensorStatistics> statistics_;  ///< where the estimate stands
   struct Move {
     double share, wanted;
   };

@@ -392,7 +392,7 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
   for (size_t span = 0; span < spans; span += stride) {
     const double begin = first_t + static_cast<double>(span) * NoiseSpectrum::kSpan;
     Eigen::Matrix3Xcd sums = Eigen::Matrix3Xcd::Zero(3, bins);
-    double window2 = 0.0, count = 0.0;
+    double window2 = 0.0, count = 0.0, information = 0.0;
     while (i < samples.size() && samples[i].t < begin) ++i;
     for (; i < samples.size() && samples[i].t < begin + NoiseSpectrum::kSpan; ++i) {
       const double angle = 2.0 * M_PI * (samples[i].t - begin) / NoiseSpectrum::kSpan;
@@ -404,15 +404,18 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
         error += slow->knots.At(recorded.t);
       else  // a shock is no noise
         error *= std::sqrt(spread.Weight(sensor.residuals[i].squaredNorm()));
-      const Eigen::Vector3d r = recorded.count * window / recorded.scale * error;
+      const double weight = recorded.count / (recorded.scale * recorded.scale);
+      const Eigen::Vector3d r = weight * window * error;
       const std::complex<double> turn = std::polar(1.0, angle);
       std::complex<double> phase = std::polar(1.0, NoiseSpectrum::kFirst * angle);
       for (int k = 0; k < bins; ++k, phase *= turn) sums.col(k) += phase * r;
-      window2 += recorded.count * window * window;
+      window2 += weight * window * window;
       count += recorded.count;
+      information += weight;
     }
     if (count < kLeastFull * NoiseSpectrum::kSpan * model.rate_hz) continue;
-    periodograms.emplace_back(sums.colwise().squaredNorm() / (3.0 * window2 * model.rate_hz));
+    periodograms.emplace_back(sums.colwise().squaredNorm() /
+                              (3.0 * window2 * model.rate_hz * information / count));
   }
   if (periodograms.empty()) return {};
   // A touch or a clock that steps is no noise.
