@@ -223,6 +223,7 @@ def main():
             if not check:
                 with open(os.path.join(REPO, name), "w") as file:
                     file.write(text)
+    print(f"{failures} remarks" if failures else "nothing differs" if check else "written", flush=True)
     return 1 if failures else 0
 
 
