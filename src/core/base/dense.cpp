@@ -92,6 +92,15 @@ bool Factor(DenseRef C, DenseRef B) {
   return llt.info() == Eigen::Success;
 }
 
+Eigen::MatrixXd Gather(const Eigen::MatrixXd& A, const std::vector<int>& rows,
+                       const std::vector<int>& columns) {
+  Eigen::MatrixXd gathered(rows.size(), columns.size());
+  for (Eigen::Index j = 0; j < gathered.cols(); ++j)
+    for (Eigen::Index i = 0; i < gathered.rows(); ++i)
+      gathered(i, j) = A(rows[static_cast<size_t>(i)], columns[static_cast<size_t>(j)]);
+  return gathered;
+}
+
 Eigen::MatrixXd Product(const Eigen::MatrixXd& A, const Eigen::MatrixXd& B) { return A * B; }
 
 Eigen::MatrixXd Propagate(const Eigen::MatrixXd& A, const Eigen::MatrixXd& C) {

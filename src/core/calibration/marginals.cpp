@@ -106,7 +106,7 @@ class ReducedProblem {
     MarginalEstimate all = EstimateMarginals(all_.Products(), windows_, functionals_.count());
     const Eigen::MatrixXd prior = PriorOfCalibrated();  // with which the functionals begin
     const Eigen::Index n = prior.rows();
-    all.known = (prior * all.covariance.topLeftCorner(n, n)).diagonal();
+    all.known.head(n) = (prior * all.covariance.topLeftCorner(n, n)).diagonal();
     return all;
   }
   /// Part of the residuals: a half of every session, or a session.
@@ -207,13 +207,8 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
     if (part.reduced.H(column, column) != 0.0) kept.push_back(column);
   MarginalEstimate estimate =
       Select(EstimateBorder(part.reduced, kept, part.windows), Counted(columns.size()));
-  const Eigen::MatrixXd prior = PriorOfCalibrated();
-  Eigen::MatrixXd of_columns(columns.size(), columns.size());
-  for (size_t i = 0; i < columns.size(); ++i)
-    for (size_t k = 0; k < columns.size(); ++k)
-      of_columns(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(k)) =
-          prior(columns[i], columns[k]);
-  estimate.known = (of_columns * estimate.covariance).diagonal();
+  const Eigen::MatrixXd prior = Gather(PriorOfCalibrated(), columns, columns);
+  estimate.known = (prior * estimate.covariance).diagonal();
   return estimate;
 }
 
@@ -393,16 +388,8 @@ void FindSessions(const ReducedProblem& problem, const Ordering& order, const Es
     const MarginalEstimate own = problem.EstimateOf(problem.sessions()[s], acting);
     SessionMarginals session;
     session.places = acting;  // what is calibrated is reported first
-    const auto size = static_cast<Eigen::Index>(acting.size());
-    Eigen::MatrixXd kept(size, size);
-    Eigen::VectorXd common(size);
-    for (Eigen::Index k = 0; k < size; ++k) {
-      common[k] = step[acting[static_cast<size_t>(k)]];
-      for (Eigen::Index j = 0; j < size; ++j)
-        kept(k, j) =
-            functionals.basis(acting[static_cast<size_t>(k)], acting[static_cast<size_t>(j)]);
-    }
-    session.difference = kept * own.Step() - common;
+    const Eigen::MatrixXd kept = Gather(functionals.basis, acting, acting);
+    session.difference = kept * own.Step() - Gather(step, acting, {0});
     const Eigen::MatrixXd robust =
         own.covariance.allFinite() ? Sandwich(own, fitted) : own.covariance;
     const Eigen::MatrixXd model = Propagate(kept, own.covariance);

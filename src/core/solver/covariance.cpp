@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "imu_pose_calib/core/base/dense.h"
+#include "imu_pose_calib/core/solver/normal_equations.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -43,16 +44,9 @@ MarginalEstimate EstimateBorder(const Reduced& reduced, const std::vector<int>& 
                                 const std::vector<int>& clusters) {
   const auto count = static_cast<Eigen::Index>(columns.size());
   const auto scores = static_cast<Eigen::Index>(clusters.size());
-  Reduced kept{Eigen::MatrixXd(count, count), Eigen::MatrixXd(count, scores + count), {}};
-  for (Eigen::Index i = 0; i < count; ++i) {
-    const int row = columns[static_cast<size_t>(i)];
-    for (Eigen::Index j = 0; j < count; ++j)
-      kept.H(i, j) = reduced.H(row, columns[static_cast<size_t>(j)]);
-    for (Eigen::Index w = 0; w < scores; ++w)
-      kept.B(i, w) = reduced.B(row, clusters[static_cast<size_t>(w)]);
-  }
-  kept.B.rightCols(count).setIdentity();
-  kept.inner = Eigen::MatrixXd::Zero(kept.B.cols(), kept.B.cols());
+  Reduced kept{Gather(reduced.H, columns, columns), Eigen::MatrixXd(count, scores + count),
+               Eigen::MatrixXd::Zero(scores + count, scores + count)};
+  kept.B << Gather(reduced.B, columns, clusters), Eigen::MatrixXd::Identity(count, count);
   return EstimateMarginals(kept.Products(), static_cast<int>(scores), static_cast<int>(count));
 }
 
@@ -60,24 +54,16 @@ MarginalEstimate EstimateMarginals(const Eigen::MatrixXd& products, int clusters
   if (!products.allFinite())
     return {Eigen::MatrixXd::Constant(functionals, functionals,
                                       std::numeric_limits<double>::infinity()),
-            Eigen::MatrixXd::Zero(functionals, clusters)};
+            Eigen::MatrixXd::Zero(functionals, clusters), Eigen::VectorXd::Zero(functionals)};
   const auto rows = products.middleRows(clusters, functionals);
-  return {rows.middleCols(clusters, functionals), -rows.leftCols(clusters)};
+  return {rows.middleCols(clusters, functionals), -rows.leftCols(clusters),
+          Eigen::VectorXd::Zero(functionals)};
 }
 
 MarginalEstimate Select(const MarginalEstimate& estimate, const std::vector<int>& places) {
-  const auto count = static_cast<Eigen::Index>(places.size());
-  MarginalEstimate selected{Eigen::MatrixXd(count, count),
-                            Eigen::MatrixXd(count, estimate.influence.cols()),
-                            Eigen::VectorXd::Zero(count)};
-  for (Eigen::Index i = 0; i < count; ++i) {
-    const int place = places[static_cast<size_t>(i)];
-    selected.influence.row(i) = estimate.influence.row(place);
-    if (place < estimate.known.size()) selected.known[i] = estimate.known[place];
-    for (Eigen::Index j = 0; j < count; ++j)
-      selected.covariance(i, j) = estimate.covariance(place, places[static_cast<size_t>(j)]);
-  }
-  return selected;
+  const std::vector<int> clusters = Counted(static_cast<size_t>(estimate.influence.cols()));
+  return {Gather(estimate.covariance, places, places), Gather(estimate.influence, places, clusters),
+          Gather(estimate.known, places, {0})};
 }
 
 Eigen::MatrixXd ClusterRobustCovariance(const MarginalEstimate& estimate, double fitted) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <vector>
 
 namespace imu_pose_calib {
 
@@ -20,6 +21,9 @@ void AddProduct(double scale, const ConstDenseRef& A, const ConstDenseRef& B, bo
 /// positive definite.
 bool Factor(DenseRef C, DenseRef B);
 
+/// The elements of A in these rows and columns.
+Eigen::MatrixXd Gather(const Eigen::MatrixXd& A, const std::vector<int>& rows,
+                       const std::vector<int>& columns);
 /// A B.
 Eigen::MatrixXd Product(const Eigen::MatrixXd& A, const Eigen::MatrixXd& B);
 /// A C A^T: the covariance C propagated by A.
