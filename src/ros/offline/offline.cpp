@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/offline/offline.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/replace.hpp>
 #include <boost/range/algorithm_ext/erase.hpp>
 #include <boost/range/algorithm_ext/push_back.hpp>
 #include <filesystem>
@@ -433,9 +434,7 @@ std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {
 }
 
 std::string OneLine(const std::exception& error) {
-  std::string text = error.what();
-  std::replace(text.begin(), text.end(), '\n', ' ');
-  return Printable(text);
+  return Printable(boost::replace_all_copy<std::string>(error.what(), "\n", " "));
 }
 
 }  // namespace imu_pose_calib
