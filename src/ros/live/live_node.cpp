@@ -171,14 +171,14 @@ class LiveInput {
     return info;
   }
 
-  /// The link in tf, from elsewhere, of a frame to another parent than the marker; null: none.
-  const geometry_msgs::TransformStamped* OtherParent(const std::string& frame) const {
+  /// The parent of a frame in tf, from elsewhere; empty: none, or the marker.
+  std::string OtherParent(const std::string& frame) const {
     const std::string marker_frame = Info().marker_frame;
     for (const Links* links : {&fixed_links_, &links_})
       if (const auto link = links->find(frame);
           link != links->end() && link->second.header.frame_id != marker_frame)
-        return &link->second;
-    return nullptr;
+        return link->second.header.frame_id;
+    return "";
   }
 
   /// What was dropped, as a sentence; empty: nothing.
@@ -576,9 +576,9 @@ class LiveNode {
     }
     if (live_.result())
       for (const ImuInfo& imu : input_.Info().imus)
-        if (const auto* link = input_.OtherParent(imu.imu_frame))
-          message += "; tf has another parent of " + imu.imu_frame + ", " + link->header.frame_id +
-                     ": set imu_frame";
+        if (const std::string parent = input_.OtherParent(imu.imu_frame); !parent.empty())
+          message +=
+              "; tf has another parent of " + imu.imu_frame + ", " + parent + ": set imu_frame";
     if (!save_error_.empty()) message += "; " + save_error_;
     if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
     const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
@@ -654,15 +654,14 @@ class LiveNode {
           marker.c_str());
       return false;
     }
-    const auto* link = input_.OtherParent(frame);
-    if (!link) return true;
-    const char* parent = link->header.frame_id.c_str();
+    const std::string parent = input_.OtherParent(frame);
+    if (parent.empty()) return true;
     if (is_imu)
       ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-               frame.c_str(), parent, marker.c_str());
+               frame.c_str(), parent.c_str(), marker.c_str());
     else  // may be in the tf of a robot, as one from tf is
       ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already", frame.c_str(),
-               parent);
+               parent.c_str());
     return is_imu;
   }
 

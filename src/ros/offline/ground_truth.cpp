@@ -62,8 +62,8 @@ TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
     ++count.states;
     if (state->is_carried) {
       ++count.carried;
-      if (!was_carried) count.runs.push_back({instant.stamp_ns, 0});
-      count.runs.back().last_ns = instant.stamp_ns;
+      if (!was_carried) count.runs.emplace_back(instant.stamp_ns, 0);
+      count.runs.back().second = instant.stamp_ns;
     }
     was_carried = state->is_carried;
   }
@@ -164,9 +164,9 @@ TrajectoryCount WriteTum(const std::string& path, bool with_covariance,
                  UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
   std::string head = Origin(*outputs);
-  for (const TrajectoryCount::Run& run : count.runs)
-    head += "# by the imu alone, no poses: " + SecondsText(run.first_ns) + " to " +
-            SecondsText(run.last_ns) + "\n";
+  for (const auto& [first_ns, last_ns] : count.runs)
+    head += "# by the imu alone, no poses: " + SecondsText(first_ns) + " to " +
+            SecondsText(last_ns) + "\n";
   outputs->Write(path, head + (with_covariance ? kOvEvalHeader : "") + table.text());
   return count;
 }
@@ -345,9 +345,10 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
                    gaps_text(carried).c_str(), longest);
   if (gaps.size() > carried)
     text += Format(", %s left out (%.1f s)", gaps_text(gaps.size() - carried).c_str(), left_out);
-  for (size_t k = 0; k < count.runs.size() && !has_comments; ++k)
-    text += "\n  by the imu alone, which the format cannot say: " +
-            SecondsText(count.runs[k].first_ns) + " to " + SecondsText(count.runs[k].last_ns);
+  if (has_comments) return text;
+  for (const auto& [first_ns, last_ns] : count.runs)
+    text += "\n  by the imu alone, which the format cannot say: " + SecondsText(first_ns) + " to " +
+            SecondsText(last_ns);
   return text;
 }
 
