@@ -49,9 +49,6 @@ std::string ShortNames(std::vector<std::string> types) {
   return boost::join(types, ", ");
 }
 
-/// What nodes of this package publish is no input.
-bool IsOurs(const std::string& topic) { return boost::algorithm::ends_with(topic, "/imu_pose"); }
-
 /// Why no poses come from tf.
 std::string LookAt(const TfChain& chain) {
   try {
@@ -63,8 +60,7 @@ std::string LookAt(const TfChain& chain) {
 }
 
 /// The full names of the pose sensors.
-std::vector<std::string> PoseSensors(const OfflineRequest& request) {
-  const RecordingRequest& topics = request;
+std::vector<std::string> PoseSensors(const RecordingRequest& request) {
   std::vector<std::string> names;
   for (const std::string& name : SplitNames(request.pose_sensors)) {
     if (name.empty()) continue;
@@ -76,30 +72,30 @@ std::vector<std::string> PoseSensors(const OfflineRequest& request) {
     names.push_back(tf ? JoinTf(*tf) : ros::names::resolve(name));
   }
   std::string marker;
-  if (!topics.pose_topic.empty()) marker = ros::names::resolve(topics.pose_topic);
-  if (!topics.tf_parent.empty())
-    marker = JoinTf({FrameName(topics.tf_parent, ""), FrameName(topics.tf_child, "")});
+  if (!request.pose_topic.empty()) marker = ros::names::resolve(request.pose_topic);
+  if (!request.tf_parent.empty())
+    marker = JoinTf({FrameName(request.tf_parent, ""), FrameName(request.tf_child, "")});
   CheckPoseSensors(marker, names);
   return names;
 }
 
-size_t CountImus(const RecordingRequest& topics) {
-  return SplitNames(topics.gyro_topic.empty() ? topics.imu_topic : topics.gyro_topic).size();
+/// Of each IMU, or of its gyroscope.
+std::vector<std::string> GyroTopics(const RecordingRequest& request) {
+  return SplitNames(request.gyro_topic.empty() ? request.imu_topic : request.gyro_topic);
 }
 
 /// The request with its defaults.
 OfflineRequest Checked(OfflineRequest request) {
-  RecordingRequest& topics = request;
-  const bool is_split = IsPair({"imu_topic", topics.imu_topic}, {"gyro_topic", topics.gyro_topic},
-                               {"accel_topic", topics.accel_topic});
-  IsPair({"pose_topic", topics.pose_topic}, {"tf_parent", topics.tf_parent},
-         {"tf_child", topics.tf_child});
-  topics.pose_sensors = boost::join(PoseSensors(request), " ");
-  if (!request.imu_yaml.empty() && topics.imu_topic.empty() && !is_split)
-    topics.imu_topic = LoadImuYaml(request.imu_yaml);
+  const bool is_split = IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
+                               {"accel_topic", request.accel_topic});
+  IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
+         {"tf_child", request.tf_child});
+  request.pose_sensors = boost::join(PoseSensors(request), " ");
+  if (!request.imu_yaml.empty() && request.imu_topic.empty() && !is_split)
+    request.imu_topic = LoadImuYaml(request.imu_yaml);
   for (const auto& [name, value] :
-       {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", topics.accel_topic}})
-    if (const size_t count = SplitNames(value).size(), imus = CountImus(topics);
+       {Given{"imu_frame", request.imu_frame}, Given{"accel_topic", request.accel_topic}})
+    if (const size_t count = SplitNames(value).size(), imus = GyroTopics(request).size();
         !value.empty() && count != imus)
       throw InputError(Format("%s has %zu names for %zu imus", name, count, imus));
   request.output = std::filesystem::absolute(
@@ -129,11 +125,9 @@ class LiveInput {
             LiveCalibration* live, const std::function<void(const PoseSample&)>& on_pose)
       : node_(node), request_(request), mutex_(mutex), live_(live), on_pose_(on_pose) {
     live_->OnReset([this] { Forget(); });
-    const RecordingRequest& names = request_;
-    const bool is_split = !names.gyro_topic.empty();
-    const std::vector<std::string> gyros =
-                                       SplitNames(is_split ? names.gyro_topic : names.imu_topic),
-                                   accels = SplitNames(names.accel_topic);
+    const bool is_split = !request.gyro_topic.empty();
+    const std::vector<std::string> gyros = GyroTopics(request),
+                                   accels = SplitNames(request.accel_topic);
     imus_.resize(gyros.size());
     for (size_t i = 0; i < gyros.size(); ++i) {
       ImuInfo& imu = imus_[i];
@@ -148,10 +142,10 @@ class LiveInput {
         Listen("imu_topic", gyros[i], &imu.imu_topic, {kImuType}, read(true, true));
       }
     }
-    const TfFrames marker(FrameName(names.tf_parent, ""), FrameName(names.tf_child, ""));
-    ListenToPoses("pose_topic", names.pose_topic,
-                  names.tf_parent.empty() ? std::nullopt : std::optional(marker));
-    for (const std::string& name : SplitPaths(names.pose_sensors))
+    const TfFrames marker(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
+    ListenToPoses("pose_topic", request.pose_topic,
+                  request.tf_parent.empty() ? std::nullopt : std::optional(marker));
+    for (const std::string& name : SplitPaths(request.pose_sensors))
       ListenToPoses("pose_sensor", name, SplitTf(name));
     for (const bool fixed : {false, true})
       tf_.push_back(node_.subscribe<tf2_msgs::TFMessage>(
@@ -177,14 +171,14 @@ class LiveInput {
     return info;
   }
 
-  /// The link in tf, from elsewhere, of a frame to another parent than the marker; null: none.
-  const geometry_msgs::TransformStamped* OtherParent(const std::string& frame) const {
+  /// The parent of a frame in tf, from elsewhere; empty: none, or the marker.
+  std::string OtherParent(const std::string& frame) const {
     const std::string marker_frame = Info().marker_frame;
     for (const Links* links : {&fixed_links_, &links_})
       if (const auto link = links->find(frame);
           link != links->end() && link->second.header.frame_id != marker_frame)
-        return &link->second;
-    return nullptr;
+        return link->second.header.frame_id;
+    return "";
   }
 
   /// What was dropped, as a sentence; empty: nothing.
@@ -254,8 +248,8 @@ class LiveInput {
       const std::string all = boost::join(types, " or "), before = *name;
       std::vector<std::string> found;
       for (const ros::master::TopicInfo& info : published)
-        if (Accepts(info.datatype) && !IsOurs(info.name) &&
-            std::find(others.begin(), others.end(), info.name) == others.end())
+        if (Accepts(info.datatype) && std::count(others.begin(), others.end(), info.name) == 0 &&
+            !boost::algorithm::ends_with(info.name, "/imu_pose"))  // of nodes of this package
           found.push_back(info.name);
       if (!is_named && found.size() != 1) {
         state = found.empty() ? "no topic of type " + all + " is published"
@@ -454,7 +448,8 @@ class LiveNode {
       : node_(node),
         request_(Checked(request)),
         options_(Options(request_)),
-        live_(ReadLiveOptions(), options_, CountImus(request_), SplitPaths(request_.pose_sensors)),
+        live_(ReadLiveOptions(), options_, GyroTopics(request_).size(),
+              SplitPaths(request_.pose_sensors)),
         input_(node, request_, &mutex_, &live_,
                [this](const PoseSample& pose) { PublishPose(pose); }),
         solver_(
@@ -581,9 +576,9 @@ class LiveNode {
     }
     if (live_.result())
       for (const ImuInfo& imu : input_.Info().imus)
-        if (const auto* link = input_.OtherParent(imu.imu_frame))
-          message += "; tf has another parent of " + imu.imu_frame + ", " + link->header.frame_id +
-                     ": set imu_frame";
+        if (const std::string parent = input_.OtherParent(imu.imu_frame); !parent.empty())
+          message +=
+              "; tf has another parent of " + imu.imu_frame + ", " + parent + ": set imu_frame";
     if (!save_error_.empty()) message += "; " + save_error_;
     if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
     const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
@@ -659,15 +654,14 @@ class LiveNode {
           marker.c_str());
       return false;
     }
-    const auto* link = input_.OtherParent(frame);
-    if (!link) return true;
-    const char* parent = link->header.frame_id.c_str();
+    const std::string parent = input_.OtherParent(frame);
+    if (parent.empty()) return true;
     if (is_imu)
       ROS_WARN("tf has two parents of '%s': '%s' from elsewhere and '%s' from here; set imu_frame",
-               frame.c_str(), parent, marker.c_str());
+               frame.c_str(), parent.c_str(), marker.c_str());
     else  // may be in the tf of a robot, as one from tf is
       ROS_WARN("No transform of '%s' is published: its parent in tf is '%s' already", frame.c_str(),
-               parent);
+               parent.c_str());
     return is_imu;
   }
 

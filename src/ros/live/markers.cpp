@@ -23,6 +23,8 @@ constexpr Color kMarker = {0.6f, 0.6f, 0.65f, 0.8f}, kImu = {1.0f, 0.6f, 0.1f};
 constexpr Color kImuPath = {kImu.r, kImu.g, kImu.b, 0.8f};
 constexpr Color kSigma = {kImu.r, kImu.g, kImu.b, 0.35f};
 constexpr Color kGood = {0.3f, 0.85f, 0.35f}, kBad = {1.0f, 0.35f, 0.3f};
+/// By the constants of CalibrationStatus: waiting, collecting, solving, converged, degraded, saved.
+constexpr Color kPhaseColors[] = {kBad, kWhite, kWhite, kGood, kBad, kGood};
 
 /// The ellipsoid of one sigma is too small to be seen.
 constexpr double kSigmaScale = 200.0;
@@ -145,14 +147,11 @@ void DrawPanel(const LiveCalibration& live, const CalibrationStatus& status, Dra
                    Format("%s %c", i < 3 ? "turn" : "move", "xyz"[i % 3]));
   }
 
-  const auto is = [&](uint8_t a, uint8_t b) { return status.phase == a || status.phase == b; };
-  const Color& color = is(CalibrationStatus::CONVERGED, CalibrationStatus::SAVED)    ? kGood
-                       : is(CalibrationStatus::DEGRADED, CalibrationStatus::WAITING) ? kBad
-                                                                                     : kWhite;
   const auto above = [&](double x, double z) -> Eigen::Vector3d {
     return middle + Eigen::Vector3d(x, 0.0, z);
   };
-  drawing->Label("verdict", above(0.0, 4.6 * kLine), 0.12, status.phase_text, color);
+  drawing->Label("verdict", above(0.0, 4.6 * kLine), 0.12, status.phase_text,
+                 kPhaseColors[status.phase]);
   std::string message = Wrap("", status.message, 48);
   message.pop_back();  // the end of the last line
   drawing->Label("verdict", above(0.0, 2.2 * kLine), 0.05, message);

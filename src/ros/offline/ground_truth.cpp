@@ -62,8 +62,8 @@ TrajectoryCount ForEachState(const TrajectoryOutput& output, Visit visit) {
     ++count.states;
     if (state->is_carried) {
       ++count.carried;
-      if (!was_carried) count.runs.push_back({instant.stamp_ns, 0});
-      count.runs.back().last_ns = instant.stamp_ns;
+      if (!was_carried) count.runs.emplace_back(instant.stamp_ns, 0);
+      count.runs.back().second = instant.stamp_ns;
     }
     was_carried = state->is_carried;
   }
@@ -100,22 +100,18 @@ T_BS:
 )" + rest;
 }
 
-std::string ImuSensorYaml(const TrajectoryOutput& output, const OutputFiles& outputs) {
+std::string NoiseYaml(const TrajectoryOutput& output) {
   const double root = std::sqrt(output.imu_rate_hz);
-  return SensorYaml(
-      outputs, "imu",
-      Format(R"(rate_hz: %s  # Hz
-
-# White noise as the residuals of the calibration show it; random walk as it assumed.
-gyroscope_noise_density: %s  # [ rad / s / sqrt(Hz) ]
-gyroscope_random_walk: %s  # [ rad / s^2 / sqrt(Hz) ]
-accelerometer_noise_density: %s  # [ m / s^2 / sqrt(Hz) ]
-accelerometer_random_walk: %s  # [ m / s^3 / sqrt(Hz) ]
-)",
-             YamlNumber(output.imu_rate_hz).c_str(), YamlNumber(output.noise.gyro / root).c_str(),
-             YamlNumber(output.gyro_bias_walk).c_str(),
-             YamlNumber(output.noise.accel / root).c_str(),
-             YamlNumber(output.accel_bias_walk).c_str()));
+  const auto line = [](const std::string& key, double value, const std::string& unit) {
+    return key + ": " + YamlNumber(value) + "  # " + unit + "\n";
+  };
+  return line("rate_hz", output.imu_rate_hz, "Hz") +
+         "\n# White noise as the residuals of the calibration show it; random walk as it "
+         "assumed.\n" +
+         line("gyroscope_noise_density", output.noise.gyro / root, "[ rad / s / sqrt(Hz) ]") +
+         line("gyroscope_random_walk", output.gyro_bias_walk, "[ rad / s^2 / sqrt(Hz) ]") +
+         line("accelerometer_noise_density", output.noise.accel / root, "[ m / s^2 / sqrt(Hz) ]") +
+         line("accelerometer_random_walk", output.accel_bias_walk, "[ m / s^3 / sqrt(Hz) ]");
 }
 
 fs::path Mav0(const std::string& folder) { return fs::path(folder) / "mav0"; }
@@ -153,7 +149,7 @@ TrajectoryCount WriteAsl(const std::string& path, const TrajectoryOutput& output
     outputs->Remove(truth / "sigma.csv");  // of an earlier run
   for (const ImuTrack::Sample& s : output.samples())
     samples.AddRow(std::to_string(s.stamp_ns), s.gyro, s.accel);
-  outputs->Write(imu / "sensor.yaml", ImuSensorYaml(output, *outputs));
+  outputs->Write(imu / "sensor.yaml", SensorYaml(*outputs, "imu", NoiseYaml(output)));
   outputs->Write(imu / "data.csv", samples.text());
   return count;
 }
@@ -168,9 +164,9 @@ TrajectoryCount WriteTum(const std::string& path, bool with_covariance,
                  UpperTriangle(x.covariance.block<3, 3>(3, 3)));
   });
   std::string head = Origin(*outputs);
-  for (const TrajectoryCount::Run& run : count.runs)
-    head += "# by the imu alone, no poses: " + SecondsText(run.first_ns) + " to " +
-            SecondsText(run.last_ns) + "\n";
+  for (const auto& [first_ns, last_ns] : count.runs)
+    head += "# by the imu alone, no poses: " + SecondsText(first_ns) + " to " +
+            SecondsText(last_ns) + "\n";
   outputs->Write(path, head + (with_covariance ? kOvEvalHeader : "") + table.text());
   return count;
 }
@@ -178,7 +174,7 @@ TrajectoryCount WriteTum(const std::string& path, bool with_covariance,
 // --- Bag ---
 
 /// Between the poses of the path, which is there to be looked at.
-constexpr int64_t kPathPeriodNs = 50'000'000;
+const ros::Duration kPathPeriod(0.05);
 
 /// Row by row, as messages have it.
 using Covariance = Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>;
@@ -210,7 +206,6 @@ TrajectoryCount FillBag(const TrajectoryOutput& output, const std::string& run_i
   const std::string child = output.imu_frame + "_ground_truth";
   nav_msgs::Path track;
   track.header.frame_id = output.world_frame;
-  int64_t next_ns = 0;
   std::optional<bool> last_carried;
   TrajectoryCount count = ForEachState(output, [&](int64_t stamp_ns, const ImuState& x) {
     const ros::Time stamp = std::max(ros::TIME_MIN, FromNanoseconds(stamp_ns));
@@ -228,8 +223,7 @@ TrajectoryCount FillBag(const TrajectoryOutput& output, const std::string& run_i
     tf.transforms = {ToTransformStamped(header, child, {x.q_WB, x.p_WB})};
     bag->write("/tf", stamp, tf);
 
-    if (!track.poses.empty() && stamp_ns < next_ns) return;
-    next_ns = stamp_ns + kPathPeriodNs;
+    if (!track.poses.empty() && stamp < track.poses.back().header.stamp + kPathPeriod) return;
     track.poses.emplace_back();
     track.poses.back().header = header;
     track.poses.back().pose = odometry.pose.pose;
@@ -351,9 +345,10 @@ std::string Describe(const TrajectoryCount& count, const std::vector<TrackGap>& 
                    gaps_text(carried).c_str(), longest);
   if (gaps.size() > carried)
     text += Format(", %s left out (%.1f s)", gaps_text(gaps.size() - carried).c_str(), left_out);
-  for (size_t k = 0; k < count.runs.size() && !has_comments; ++k)
-    text += "\n  by the imu alone, which the format cannot say: " +
-            SecondsText(count.runs[k].first_ns) + " to " + SecondsText(count.runs[k].last_ns);
+  if (has_comments) return text;
+  for (const auto& [first_ns, last_ns] : count.runs)
+    text += "\n  by the imu alone, which the format cannot say: " + SecondsText(first_ns) + " to " +
+            SecondsText(last_ns);
   return text;
 }
 
@@ -443,16 +438,11 @@ bool TrajectoryTarget::IsIn(const Calibration& result) const {
 
 TrajectoryCount WriteTrajectory(const TrajectoryTarget& target, const TrajectoryOutput& output,
                                 OutputFiles* outputs) {
-  switch (target.format) {
-    case TrajectoryFormat::kAsl:
-      return WriteAsl(target.path, output, outputs);
-    case TrajectoryFormat::kBag:
-      return WriteBag(target.path, output, outputs);
-    case TrajectoryFormat::kEuroc:
-      return WriteEuroc(target.path, output, nullptr, outputs);
-    default:
-      return WriteTum(target.path, target.format == TrajectoryFormat::kOvEval, output, outputs);
-  }
+  const auto& [path, format, session, place, is_sensor] = target;
+  if (format == TrajectoryFormat::kAsl) return WriteAsl(path, output, outputs);
+  if (format == TrajectoryFormat::kBag) return WriteBag(path, output, outputs);
+  if (format == TrajectoryFormat::kEuroc) return WriteEuroc(path, output, nullptr, outputs);
+  return WriteTum(path, format == TrajectoryFormat::kOvEval, output, outputs);
 }
 
 std::vector<std::string> WriteTrajectories(const TrajectoryRequest& request,

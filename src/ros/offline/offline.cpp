@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/offline/offline.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/replace.hpp>
 #include <boost/range/algorithm_ext/erase.hpp>
 #include <boost/range/algorithm_ext/push_back.hpp>
 #include <filesystem>
@@ -35,11 +36,6 @@ bool NamesPoseTopic(const RecordingRequest& request) {
   return !(request.pose_topic.empty() && request.tf_parent.empty() && request.tf_child.empty());
 }
 
-void CheckGiven(const OfflineRequest& request) {
-  if (request.paths.empty() && !NamesFiles(request))
-    Reject("no recording is given: a bag, a folder, or the files poses and imu");
-}
-
 /// For a session of which one part is in text files, and the other in bags.
 void CheckParts(const RecordingRequest& request) {
   const std::string bags = "the bag '" + request.paths.front() + "'";
@@ -70,6 +66,8 @@ void NameFiles(OfflineRequest* request) {
 /// One request for each session.
 std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
   const std::vector<std::string>& paths = given.paths;
+  if (paths.empty() && !NamesFiles(given))
+    Reject("no recording is given: a bag, a folder, or the files poses and imu");
   const bool is_text = std::all_of(paths.begin(), paths.end(), [](const std::string& path) {
     return IsFolder(path) && !IsRos2Bag(path);
   });
@@ -268,11 +266,10 @@ std::vector<std::string> OtherFiles(const OfflineResult& offline) {
     return std::filesystem::absolute(path).lexically_normal();
   };
   std::vector<std::string> files;
-  const auto add = [&](const std::string& path) {
-    files.push_back(normal(path).lexically_proximate(normal(offline.request.output).parent_path()));
-  };
-  if (!offline.request.report.empty()) add(offline.request.report);
-  for (const TrajectoryTarget& target : offline.trajectories) add(target.path);
+  if (!offline.request.report.empty()) files.push_back(offline.request.report);
+  for (const TrajectoryTarget& target : offline.trajectories) files.push_back(target.path);
+  for (std::string& file : files)
+    file = normal(file).lexically_proximate(normal(offline.request.output).parent_path());
   return files;
 }
 
@@ -361,22 +358,20 @@ std::string ReportPath(const OfflineRequest& request) {
 }
 
 OfflineResult CalibrateOffline(const OfflineRequest& given, const Progress& progress) {
-  CheckGiven(given);
   OfflineResult offline;
   offline.run_id = offline.outputs->run_id();
   offline.request = given;
   offline.request.output = OutputPath(given);
   offline.earlier = FindEarlier(offline.request.output);
-  const auto still_there = [&] {
-    const bool is_first = offline.earlier.empty();
-    return is_first ? "" : "; still there, of an earlier run: " + WithTimes(offline.earlier);
-  };
+  std::string still_there;
+  if (!offline.earlier.empty())
+    still_there = "; still there, of an earlier run: " + WithTimes(offline.earlier);
   try {
     RunOffline(progress, &offline);
   } catch (const DataError& error) {
-    throw DataError(error.what() + still_there());
+    throw DataError(error.what() + still_there);
   } catch (const InputError& error) {
-    Reject(error.what(), still_there());
+    Reject(error.what(), still_there);
   }
   return offline;
 }
@@ -428,7 +423,6 @@ std::string Describe(const OfflineResult& offline, bool is_verbose) {
 }
 
 std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {
-  CheckGiven(given);
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   const CalibrationOptions options = Options(requests.front());
   std::vector<OfflineCheck> checks;
@@ -440,9 +434,7 @@ std::vector<OfflineCheck> CheckOffline(const OfflineRequest& given) {
 }
 
 std::string OneLine(const std::exception& error) {
-  std::string text = error.what();
-  std::replace(text.begin(), text.end(), '\n', ' ');
-  return Printable(text);
+  return Printable(boost::replace_all_copy<std::string>(error.what(), "\n", " "));
 }
 
 }  // namespace imu_pose_calib

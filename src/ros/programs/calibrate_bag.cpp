@@ -13,25 +13,6 @@ namespace {
 
 namespace po = boost::program_options;
 
-struct CommandLine {
-  OfflineRequest request;
-  bool check = false, quiet = false, verbose = false, help = false, help_all = false,
-       version = false;
-};
-
-po::options_description Describe(const std::vector<RequestOption>& common, CommandLine* line) {
-  po::options_description options("Options");
-  AddRequestOptions(common, &options);
-  auto add = options.add_options();
-  add("check", po::bool_switch(&line->check), "judge the recording without calibrating");
-  add("verbose", po::bool_switch(&line->verbose), "print all of the result");
-  add("quiet", po::bool_switch(&line->quiet), "print errors only");
-  add("help", po::bool_switch(&line->help), "print this text");
-  add("help-all", po::bool_switch(&line->help_all), "print every option");
-  add("version", po::bool_switch(&line->version), "print the version");
-  return options;
-}
-
 void PrintHelp(const std::vector<po::options_description>& options) {
   std::cout << "Usage: calibrate_bag BAG [BAG ...] [options]          .bag, .mcap, .db3, folder\n"
             << "       calibrate_bag FOLDER [options]                  ASL dataset (EuRoC)\n"
@@ -52,36 +33,45 @@ void PrintHelp(const std::vector<po::options_description>& options) {
             << "be calibrated.\n";
 }
 
-void Check(const CommandLine& line) {
+void Check(const OfflineRequest& request, bool quiet) {
   std::string refused;
-  for (const OfflineCheck& offline : CheckOffline(line.request)) {
-    if (!line.quiet) std::cout << Summary(offline.check, offline.info) << std::flush;
+  for (const OfflineCheck& offline : CheckOffline(request)) {
+    if (!quiet) std::cout << Summary(offline.check, offline.info) << std::flush;
     if (offline.check.verdict == DataVerdict::kRecordAgain) refused = offline.check.message;
   }
   if (!refused.empty()) throw DataError(refused);
 }
 
 void Run(int argc, char** argv) {
-  CommandLine line;
-  const RequestOptions known = OptionsOf(&line.request);
+  OfflineRequest request;
+  const RequestOptions known = OptionsOf(&request);
+  bool check, verbose, quiet, help, help_all, version;
   // With the others they fit a screen no more.
-  po::options_description all, common = Describe(known.common, &line), others("Other options");
+  po::options_description all, common("Options"), others("Other options");
+  AddRequestOptions(known.common, &common);
   AddRequestOptions(known.others, &others);
+  auto add = common.add_options();
+  add("check", po::bool_switch(&check), "judge the recording without calibrating");
+  add("verbose", po::bool_switch(&verbose), "print all of the result");
+  add("quiet", po::bool_switch(&quiet), "print errors only");
+  add("help", po::bool_switch(&help), "print this text");
+  add("help-all", po::bool_switch(&help_all), "print every option");
+  add("version", po::bool_switch(&version), "print the version");
   all.add(common).add(others);
-  ParseCommandLine(argc, argv, all, Unnamed{"bag", Value(&line.request.paths), -1});
-  if (line.help_all) return PrintHelp({common, others});
-  if (line.help) return PrintHelp({common});
-  if (line.version) {
+  ParseCommandLine(argc, argv, all, Unnamed{"bag", Value(&request.paths), -1});
+  if (help_all) return PrintHelp({common, others});
+  if (help) return PrintHelp({common});
+  if (version) {
     std::cout << "imu_pose_calib " << kVersion << "\n";
     return;
   }
 
-  if (line.check) return Check(line);
+  if (check) return Check(request, quiet);
   const InterruptGuard guard;
-  const Progress progress = ShowProgress(line.quiet);
-  OfflineResult offline = CalibrateOffline(line.request, progress);
+  const Progress progress = ShowProgress(quiet);
+  OfflineResult offline = CalibrateOffline(request, progress);
   const std::string failure = WriteResult(&offline, progress);
-  if (!line.quiet) std::cout << Describe(offline, line.verbose) << std::flush;
+  if (!quiet) std::cout << Describe(offline, verbose) << std::flush;
   if (!failure.empty()) throw InputError(failure);
 }
 

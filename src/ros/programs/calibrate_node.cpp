@@ -66,18 +66,9 @@ Job TakeJob(const std::vector<std::string>& given) {
   return ReadJob();
 }
 
-/// Publishes the result and the static transform until the node is shut down.
-void Offer(const OfflineResult& offline, ros::NodeHandle* node) {
-  auto publisher = node->advertise<CalibrationResult>("result", 1, true);
-  publisher.publish(ToMsg(offline.result, offline.infos.front(), ros::Time::now()));
-
-  tf2_ros::StaticTransformBroadcaster broadcaster;
-  broadcaster.sendTransform(ToTransforms(offline.result, offline.infos.front(), ros::Time::now()));
-  ros::spin();
-}
-
-/// The node joins the graph, with its first handle, when there is something to offer. Until then
-/// the process has no threads of ROS, and an interrupt ends it at once.
+/// Publishes the result and the static transform until the node is shut down. It joins the graph,
+/// with its first handle, when there is something to offer: until then the process has no threads
+/// of ROS, and an interrupt ends it at once.
 void RunOffline(const Job& job, std::optional<ros::NodeHandle>* node) {
   std::signal(SIGINT, SIG_DFL);  // as later in the graph, also when a shell has it ignored
   auto guard = std::make_unique<InterruptGuard>();
@@ -87,7 +78,13 @@ void RunOffline(const Job& job, std::optional<ros::NodeHandle>* node) {
   if (!failure.empty() && job.exit) throw InputError(failure);
   if (!failure.empty()) ROS_ERROR("%s", Printable(failure).c_str());  // the result is offered
   guard.reset();
-  if (!job.exit) Offer(offline, &node->emplace("~"));
+  if (job.exit) return;
+
+  auto publisher = node->emplace("~").advertise<CalibrationResult>("result", 1, true);
+  publisher.publish(ToMsg(offline.result, offline.infos.front(), ros::Time::now()));
+  tf2_ros::StaticTransformBroadcaster broadcaster;
+  broadcaster.sendTransform(ToTransforms(offline.result, offline.infos.front(), ros::Time::now()));
+  ros::spin();
 }
 
 void Run(const std::vector<std::string>& given, std::optional<ros::NodeHandle>* node) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <boost/noncopyable.hpp>
 #include <chrono>
 #include <deque>
 #include <functional>
@@ -171,7 +172,7 @@ class LiveCalibration {
 ///
 /// `mutex` guards the LiveCalibration and this. Nobody holds it during a solve; all but Calibrate()
 /// are called with it held.
-class LiveSolver {
+class LiveSolver : boost::noncopyable {
  public:
   using Solve = std::function<Calibration(const SessionData&)>;
   struct Verdict {
@@ -184,8 +185,6 @@ class LiveSolver {
   LiveSolver(std::mutex* mutex, LiveCalibration* live, const Solve& solve,
              const std::function<void()>& on_result)
       : mutex_(mutex), live_(live), solve_(solve), on_result_(on_result) {}
-  LiveSolver(const LiveSolver&) = delete;
-  LiveSolver& operator=(const LiveSolver&) = delete;
 
   /// Begins to solve what is there now, unless a solve is running.
   void Start();

@@ -5,6 +5,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "imu_pose_calib/core/ground_truth/imu_track.h"
@@ -75,12 +76,9 @@ struct TrajectoryOutput {
 
 /// What was written.
 struct TrajectoryCount {
-  struct Run {
-    int64_t first_ns, last_ns;  ///< stamps
-  };
   size_t states = 0;
-  size_t carried = 0;     ///< of these, across gaps of the poses
-  std::vector<Run> runs;  ///< of those
+  size_t carried = 0;                             ///< of these, across gaps of the poses
+  std::vector<std::pair<int64_t, int64_t>> runs;  ///< of those: first and last stamp [ns]
 };
 
 /// Gives `outputs` the files of a target; each names the run, and which states are carried, where
