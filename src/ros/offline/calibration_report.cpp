@@ -1,6 +1,7 @@
 #include "imu_pose_calib/ros/offline/calibration_report.h"
 
 #include <fcntl.h>
+#include <spawn.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -8,16 +9,14 @@
 #include <boost/algorithm/string/trim.hpp>
 #include <cerrno>
 #include <csignal>
-#include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <limits>
 #include <memory>
 #include <optional>
 #include <sstream>
-#include <tuple>
+#include <system_error>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
@@ -46,7 +45,6 @@ constexpr size_t kZoomCount = 501;     // of them in a zoom
 constexpr double kAverage = 0.002;     // [s] around an instant, for what is averaged about it
 constexpr double kDerivative = 0.001;  // [s] the same, for derivatives by the time shift
 constexpr double kEdge = 0.1;          // [s] so close to gaps, the trajectory is not believed
-constexpr double kNone = std::numeric_limits<double>::quiet_NaN();  // what is not known
 
 // In the order of Quantity.
 constexpr const char* kNames[] = {"position", "rotation", "gyro", "accel"};
@@ -62,6 +60,11 @@ std::vector<double> Instants(double begin, double end, size_t count, double plac
           begin + (static_cast<double>(k) + place) / static_cast<double>(count) * (end - begin) +
           away);
   return instants;
+}
+
+template <int size>
+Eigen::Matrix<double, size, 1> Nothing() {
+  return Eigen::Matrix<double, size, 1>::Constant(std::numeric_limits<double>::quiet_NaN());
 }
 
 /// Times [s], and rows of what need not be that exact.
@@ -132,10 +135,10 @@ class SolvedSession {
     WriteStates("motion", Instants(begin, end, kOverview, 0.5));
     NumpyTable<double> sigmas(7);
     for (const double t : Instants(begin, end, has_covariance_ ? kErrorBounds : 0, 0.5)) {
-      Vector6d sigma = Vector6d::Constant(kNone);  // of rotation and position
+      Vector6d variance = Nothing<6>();
       if (const auto covariance = trajectory_.MarkerCovariance(t))
-        sigma = covariance->diagonal().head<6>().cwiseSqrt();
-      sigmas.AddRow(t, sigma.tail<3>(), sigma.head<3>());
+        variance << covariance->diagonal().segment<3>(3), covariance->diagonal().head<3>();
+      sigmas.AddRow(t, Vector6d(variance.cwiseSqrt()));
     }
     sigmas.Write(prefix_ + "_error_bounds.npy");
   }
@@ -143,10 +146,7 @@ class SolvedSession {
   /// The motion where it says what the samples of an IMU should be, and its biases.
   void WriteImu(size_t imu) const {
     const std::string name = "i" + std::to_string(imu) + "_";
-    double begin = 0.0, end = 0.0;  // of the gyroscope's samples
-    for (const auto& [quantity, session, i, noise, t, residual, weight] : solution_.residuals)
-      if (quantity == Quantity::kGyro && session == s_ && i == imu && !t.empty())
-        std::tie(begin, end) = std::pair(t.front(), t.back());
+    const auto [begin, end] = Covered(imu);
     const double zoom = FindLiveliest(begin, end);
     const std::vector<double> average = {-kAverage, 0.0, kAverage};
     WriteStates(name + "predicted", Instants(begin, end, kOverview, 0.0, average));
@@ -173,10 +173,12 @@ class SolvedSession {
     Rigid3 begin;
     for (const PoseSensorSession::WorldKnot& knot : own.world) {
       if (knot.begins_piece) begin = knot.T_VW;
-      Eigen::Vector3d moved = Eigen::Vector3d::Constant(knot.begins_piece ? 0.0 : kNone);
+      Eigen::Vector3d moved = Eigen::Vector3d::Zero();
       if (const auto marker = trajectory_.Marker(knot.t - epoch)) {
         const Eigen::Vector3d p_WS = marker->p_WB + marker->q_WB * sensor.T_MS.p;
         moved = knot.T_VW.p - begin.p + own.scale * (knot.T_VW.q * p_WS - begin.q * p_WS);
+      } else if (!knot.begins_piece) {
+        moved = Nothing<3>();
       }
       world.AddRow(knot.t - epoch, moved,
                    Log(Eigen::Quaterniond(knot.T_VW.q * begin.q.conjugate())),
@@ -194,9 +196,18 @@ class SolvedSession {
         table.AddRow(t, state->p_WB, state->q_WB.coeffs(), state->omega_B, state->alpha_B,
                      state->a_W);
       else
-        table.AddRow(t, Eigen::VectorXd::Constant(16, kNone));
+        table.AddRow(t, Nothing<16>());
     }
     table.Write(prefix_ + "_" + name + ".npy");
+  }
+
+  /// What the gyroscope's samples cover [s].
+  std::pair<double, double> Covered(size_t imu) const {
+    for (const SensorResiduals& sensor : solution_.residuals)
+      if (sensor.session == s_ && sensor.imu == imu && sensor.quantity == Quantity::kGyro &&
+          !sensor.t.empty())
+        return {sensor.t.front(), sensor.t.back()};
+    return {0.0, 0.0};
   }
 
   /// Where the second begins in which the marker turns most.
@@ -245,7 +256,7 @@ class SolvedSession {
     NumpyTable<double> table(7);
     for (size_t k = 0; k < knots.t.size(); ++k) {
       const double t = estimate_.imus[imu].PoseTime(knots.t[k]);
-      Eigen::Vector3d sigma = Eigen::Vector3d::Constant(kNone);
+      Eigen::Vector3d sigma = Nothing<3>();
       if (has_covariance_)
         sigma = trajectory_.BiasCovariance(imu, t)->diagonal().segment<3>(first).cwiseSqrt();
       table.AddRow(t, knots.values[k], sigma);
@@ -306,7 +317,7 @@ YAML::Node ToYaml(const CheckedStream& stream) {
   return node;
 }
 
-/// Of a session that was solved: its streams as recorded, and what the solve used.
+/// The check of a session that was solved: its streams as recorded, and what the solve used.
 DataCheck CheckSolved(const CalibrationOptions& options, const SessionData& recorded,
                       const SessionCalibration& solved) {
   SessionData session = recorded;
@@ -365,21 +376,26 @@ std::string ReadAll(const std::string& path) {
 
 /// Runs `program` with two arguments, without input and output and with stderr in the file
 /// `errors`; whether it succeeded.
-bool Run(const std::string& program, const std::string& first, const std::string& second,
-         const std::string& errors) {
-  const pid_t pid = fork();
-  if (pid < 0) Reject("'", program, "' cannot be run: ", std::strerror(errno));
-  if (pid == 0) {
-    sigset_t none;
-    sigemptyset(&none);
-    sigprocmask(SIG_SETMASK, &none, nullptr);  // not what InterruptGuard blocks here
-    dup2(open("/dev/null", O_RDWR), STDIN_FILENO);
-    dup2(STDIN_FILENO, STDOUT_FILENO);
-    dup2(open(errors.c_str(), O_WRONLY | O_CREAT, 0600), STDERR_FILENO);
-    execl(program.c_str(), program.c_str(), first.c_str(), second.c_str(), nullptr);
-    std::perror(program.c_str());
-    _exit(EXIT_FAILURE);
-  }
+bool Run(std::string program, std::string first, std::string second, const std::string& errors) {
+  char* const words[] = {program.data(), first.data(), second.data(), nullptr};
+  posix_spawn_file_actions_t files;
+  posix_spawn_file_actions_init(&files);
+  posix_spawn_file_actions_addopen(&files, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
+  posix_spawn_file_actions_addopen(&files, STDERR_FILENO, errors.c_str(),
+                                   O_WRONLY | O_CREAT | O_TRUNC, 0600);
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  sigset_t none;
+  sigemptyset(&none);
+  posix_spawnattr_setsigmask(&attributes, &none);  // not what InterruptGuard blocks here
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
+  pid_t pid = 0;
+  const int reason = posix_spawn(&pid, words[0], &files, &attributes, words, environ);
+  posix_spawnattr_destroy(&attributes);
+  posix_spawn_file_actions_destroy(&files);
+  if (reason != 0)
+    Reject("'", program, "' cannot be run: ", std::generic_category().message(reason));
   int status = 0;
   while (waitpid(pid, &status, 0) < 0 && errno == EINTR) continue;
   return WIFEXITED(status) && WEXITSTATUS(status) == EXIT_SUCCESS;

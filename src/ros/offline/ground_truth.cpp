@@ -438,7 +438,8 @@ bool TrajectoryTarget::IsIn(const Calibration& result) const {
 
 TrajectoryCount WriteTrajectory(const TrajectoryTarget& target, const TrajectoryOutput& output,
                                 OutputFiles* outputs) {
-  const auto& [path, format, session, place, is_sensor] = target;
+  const std::string& path = target.path;
+  const TrajectoryFormat format = target.format;
   if (format == TrajectoryFormat::kAsl) return WriteAsl(path, output, outputs);
   if (format == TrajectoryFormat::kBag) return WriteBag(path, output, outputs);
   if (format == TrajectoryFormat::kEuroc) return WriteEuroc(path, output, nullptr, outputs);
