@@ -121,47 +121,14 @@ bool MayBeMarker(const RecordingRequest& request, const BagTopic& topic) {
          (topic.IsBodies() || std::none_of(sensors.begin(), sensors.end(), is_it));
 }
 
-/// The frames of tf that the poses of the marker are between, if they are from tf: those that are
-/// named, or the only two where nothing else has poses.
-std::optional<TfFrames> ChooseTf(const Bags& bags, const RecordingRequest& request) {
-  if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
-             {"tf_child", request.tf_child})) {
-    if (!request.body.empty()) Reject("body '", request.body, "' does not go with poses from tf");
-    return TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
-  }
-  if (request.NamesPoseFile() || !request.pose_topic.empty() || !request.body.empty() ||
-      Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
-    return std::nullopt;
-  std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
-  for (const std::string& name : SplitPaths(request.pose_sensors))
-    if (pair && SplitTf(name) == pair) return std::nullopt;
-  return pair;
-}
-
 BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string& name) {
   const BagTopic& topic = bags.Find(field, name);
+  if (topic.IsTf() && field == "pose_topic")
+    Reject(field, " '", name, "' is ", topic.type, "; leave it empty", TfHint(bags));
   if (!topic.IsPose())
     Reject(field, " '", name, "' is ", topic.type, ", must be ", boost::join(kPoseTypes, " or "),
            (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
   return topic;
-}
-
-BagTopic ChoosePose(const Bags& bags, const RecordingRequest& request) {
-  const std::string& name = request.pose_topic;
-  if (!name.empty()) {
-    const BagTopic& topic = bags.Find("pose_topic", name);
-    if (topic.IsTf())
-      Reject("pose_topic '", name, "' is ", topic.type, "; leave it empty", TfHint(bags));
-    return NamedPose(bags, "pose_topic", name);
-  }
-  const std::vector<BagTopic> candidates =
-      bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
-  if (candidates.empty())
-    Reject("no topic of type ", boost::join(kPoseTypes, " or "), " in ", bags.Contents(),
-           TfHint(bags));
-  if (candidates.size() > 1)
-    Reject("several pose topics: ", Describe(candidates), "; choose with pose_topic");
-  return candidates[0];
 }
 
 // --- Samples ---
@@ -309,18 +276,16 @@ struct PoseReader {
 /// may lack them.
 void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reader) {
   const auto [parent, child] = *reader->tf;
-  Stream<PoseSample>& poses = reader->poses;
   TfChain chain(parent, child, bags.duration_s());
   bags.ForEachTf([&](const BagMessage& message, bool fixed) {
     const auto msg = message.instantiate<tf2_msgs::TFMessage>();
     if (record_time)
       for (auto& transform : msg->transforms) transform.header.stamp = message.time;
     chain.Add(*msg, fixed);
-    for (const PoseSample& pose : chain.TakePoses()) poses.Add(message, pose, false);
+    for (const PoseSample& pose : chain.TakePoses())
+      reader->Add(message, {pose, parent, child}, false);
   });
-  reader->first.world_frame = parent;
-  reader->first.marker_frame = child;
-  if (!poses.samples.empty()) return;
+  if (!reader->poses.samples.empty()) return;
   if (may_lack) return reader->tf.reset();
   try {
     chain.Check();
@@ -332,13 +297,35 @@ void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reade
   }
 }
 
-PoseReader ChooseMarker(const Bags& bags, const RecordingRequest& request,
-                        const std::optional<TfFrames>& tf) {
+/// The marker's: of the topic or the frames of tf that are named, of the only topic that may be it
+/// or, where there is none, of the only two frames of tf. In a file it is nameless.
+PoseReader ChooseMarker(const Bags& bags, const RecordingRequest& request) {
   PoseReader marker;
   marker.field = "pose_topic";
-  marker.tf = tf;
-  if (tf || request.NamesPoseFile()) return marker;
-  marker.topic = ChoosePose(bags, request);
+  if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
+             {"tf_child", request.tf_child})) {
+    if (!request.body.empty()) Reject("body '", request.body, "' does not go with poses from tf");
+    marker.tf = TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
+    return marker;
+  }
+  if (request.NamesPoseFile()) return marker;
+  if (!request.pose_topic.empty()) {
+    marker.topic = NamedPose(bags, marker.field, request.pose_topic);
+  } else {
+    const std::vector<BagTopic> candidates =
+        bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
+    if (candidates.size() > 1)
+      Reject("several pose topics: ", Describe(candidates), "; choose with pose_topic");
+    if (candidates.empty()) {
+      if (request.body.empty()) marker.tf = ReadLinks(bags).SinglePair();
+      for (const std::string& name : SplitPaths(request.pose_sensors))
+        if (SplitTf(name) == marker.tf) marker.tf.reset();
+      if (marker.tf) return marker;
+      Reject("no topic of type ", boost::join(kPoseTypes, " or "), " in ", bags.Contents(),
+             TfHint(bags));
+    }
+    marker.topic = candidates[0];
+  }
   marker.body = ChooseBody(bags, marker.field, marker.topic, request.body, "body");
   return marker;
 }
@@ -363,12 +350,11 @@ Recording Read(const RecordingRequest& request) {
   const bool is_whole = request.NamesPoseFile() || request.NamesImuFile();
   const Bags bags(request.paths, is_whole ? 0.0 : request.start_s,
                   is_whole ? 0.0 : request.duration_s);
-  const std::optional<TfFrames> tf = ChooseTf(bags, request);
   Recording recording;
   RecordingInfo& info = recording.info;
   SessionData& data = recording.data;
   info.bag = boost::join(request.paths, " ");
-  info.notes = bags.Notes();
+  info.notes = bags.notes();
   // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
   info.imus = request.NamesImuFile() ? std::vector<ImuInfo>() : ChooseImus(bags, request);
   data.imus.resize(info.imus.size());
@@ -377,7 +363,7 @@ Recording Read(const RecordingRequest& request) {
   std::vector<PoseReader> poses;  // the marker first, chosen among what is no pose sensor
   for (const std::string& name : SplitPaths(request.pose_sensors))
     poses.push_back(ChoosePoseSensor(bags, request, name));
-  poses.insert(poses.begin(), ChooseMarker(bags, request, tf));
+  poses.insert(poses.begin(), ChooseMarker(bags, request));
   std::set<std::string> topics;
   std::vector<std::string> names;
   for (const PoseReader& reader : poses) {

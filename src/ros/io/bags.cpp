@@ -84,8 +84,10 @@ Bags::Bags(const std::vector<std::string>& paths, double start_s, double duratio
     else
       for (const std::string& file : MessageFiles(path)) files_.push_back(OpenRos2(file));
   }
-  for (const auto& file : files_)
+  for (const auto& file : files_) {
     for (const BagFile::Entry& entry : file->entries()) index_.push_back({entry, file.get()});
+    if (!file->note().empty()) notes_.push_back(file->note());
+  }
   std::stable_sort(index_.begin(), index_.end(),
                    [](const Place& a, const Place& b) { return a.entry.t_ns < b.entry.t_ns; });
   SetSpan(start_s, duration_s);
@@ -121,13 +123,6 @@ std::vector<BagTopic> Bags::Select(const std::function<bool(const BagTopic&)>& i
 }
 
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
-
-std::vector<std::string> Bags::Notes() const {
-  std::vector<std::string> notes;
-  for (const auto& file : files_)
-    if (!file->note().empty()) notes.push_back(file->note());
-  return notes;
-}
 
 void Bags::ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const {
   for (const bool fixed : {true, false}) {

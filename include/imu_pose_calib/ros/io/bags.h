@@ -68,6 +68,8 @@ class Bags {
   Bags(const std::vector<std::string>& paths, double start_s, double duration_s);
 
   const std::vector<BagTopic>& topics() const { return topics_; }
+  /// What is to be said of the bags, as that one is cut off.
+  const std::vector<std::string>& notes() const { return notes_; }
   double begin_s() const { return Seconds(begin_ns_); }  ///< first record time
   double duration_s() const { return Seconds(end_ns_ - begin_ns_); }
 
@@ -91,9 +93,6 @@ class Bags {
   /// "NAMES; it has: TOPICS" for error messages.
   std::string Contents() const;
 
-  /// What is to be said of the bags, as that one is cut off.
-  std::vector<std::string> Notes() const;
-
  private:
   struct Place {
     BagFile::Entry entry;
@@ -111,6 +110,7 @@ class Bags {
   /// Record time of the first message, and of the span to use.
   int64_t begin_ns_ = 0, start_ns_ = 0, end_ns_ = 0;
   std::vector<BagTopic> topics_;
+  std::vector<std::string> notes_;
 };
 
 }  // namespace imu_pose_calib
