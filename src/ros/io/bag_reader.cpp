@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/predicate.hpp>
 #include <functional>
 #include <optional>
 #include <set>
@@ -96,12 +97,32 @@ std::vector<ImuInfo> ChooseImus(const Bags& bags, const RecordingRequest& reques
   return imus;
 }
 
+/// Adds all of tf to a chain: first the fixed transforms of the whole bags, which are sent once,
+/// then the others in the order of recording. Calls `use(message, pose)` for each pose that this
+/// gives.
+void AddTf(const Bags& bags, bool record_time, TfChain* chain,
+           const std::function<void(const BagMessage&, const PoseSample&)>& use) {
+  for (const bool fixed : {true, false}) {
+    std::set<std::string> names;
+    for (const BagTopic& topic : bags.topics())
+      if (topic.IsTf() && boost::ends_with(topic.name, "tf_static") == fixed)
+        names.insert(topic.name);
+    const auto add = [&](const BagMessage& message) {
+      const auto msg = message.instantiate<tf2_msgs::TFMessage>();
+      if (record_time)
+        for (auto& transform : msg->transforms) transform.header.stamp = message.time;
+      chain->Add(*msg, fixed);
+      for (const PoseSample& pose : chain->TakePoses()) use(message, pose);
+      return true;
+    };
+    bags.ForEach(names, add, fixed);
+  }
+}
+
 /// All links of tf, for no chain.
 TfChain ReadLinks(const Bags& bags) {
   TfChain links("", "", 0.0);
-  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
-    links.Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
-  });
+  AddTf(bags, false, &links, {});
   return links;
 }
 
@@ -275,15 +296,10 @@ struct PoseReader {
 /// The poses of a reader that has frames of tf. Without any it has none of these afterwards when it
 /// may lack them.
 void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reader) {
-  const auto [parent, child] = *reader->tf;
+  const std::string parent = reader->tf->first, child = reader->tf->second;
   TfChain chain(parent, child, bags.duration_s());
-  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
-    const auto msg = message.instantiate<tf2_msgs::TFMessage>();
-    if (record_time)
-      for (auto& transform : msg->transforms) transform.header.stamp = message.time;
-    chain.Add(*msg, fixed);
-    for (const PoseSample& pose : chain.TakePoses())
-      reader->Add(message, {pose, parent, child}, false);
+  AddTf(bags, record_time, &chain, [&](const BagMessage& message, const PoseSample& pose) {
+    reader->Add(message, {pose, parent, child}, false);
   });
   if (!reader->poses.samples.empty()) return;
   if (may_lack) return reader->tf.reset();

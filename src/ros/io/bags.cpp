@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
-#include <boost/algorithm/string/predicate.hpp>
 #include <cmath>
 #include <map>
 
@@ -123,20 +122,6 @@ std::vector<BagTopic> Bags::Select(const std::function<bool(const BagTopic&)>& i
 }
 
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
-
-void Bags::ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const {
-  for (const bool fixed : {true, false}) {
-    std::set<std::string> names;
-    for (const BagTopic& topic : topics_)
-      if (topic.IsTf() && boost::ends_with(topic.name, "tf_static") == fixed)
-        names.insert(topic.name);
-    const auto use_all = [&](const BagMessage& message) {
-      use(message, fixed);
-      return true;
-    };
-    ForEach(names, use_all, fixed);
-  }
-}
 
 void Bags::ForEach(const std::set<std::string>& topics,
                    const std::function<bool(const BagMessage&)>& use, bool all) const {

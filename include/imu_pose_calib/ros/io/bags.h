@@ -78,10 +78,6 @@ class Bags {
   void ForEach(const std::set<std::string>& topics,
                const std::function<bool(const BagMessage&)>& use, bool all = false) const;
 
-  /// Calls `use(message, fixed)` for the tf messages: first all fixed ones of the whole bags, which
-  /// are sent once, then the others in the order of recording.
-  void ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const;
-
   /// The topic that `field` of a request names; InputError when the bags do not have it, or when it
   /// is of none of these types, if any are given.
   const BagTopic& Find(const std::string& field, const std::string& name,
