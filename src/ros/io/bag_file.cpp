@@ -102,16 +102,11 @@ void Unzstd(ByteReader frames, uint64_t max_size,
 /// Unfolds a file, called `name` in errors.
 void UnzstdInto(const std::string& path, const std::string& name, InputFile* input) {
   std::ofstream file(path, std::ios::binary);
-  const auto check = [&] {
-    if (!file) Reject("cannot be unfolded into a temporary file: ", std::strerror(errno));
-  };
   try {
     Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
-      file << piece;
-      check();
+      if (!(file << piece << std::flush))
+        Reject("cannot be unfolded into a temporary file: ", std::strerror(errno));
     });
-    file.close();
-    check();
   } catch (const InputError& error) {
     Reject("'", name, "': ", error.what());
   }
@@ -158,14 +153,6 @@ bool IsZstd(std::string_view bytes) { return bytes.substr(0, 4) == "\x28\xb5\x2f
 
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
   std::string contents;
-  // As most messages are, for which a stream would take longer to set up than to run.
-  const uint64_t stated = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
-  if (stated <= std::min<uint64_t>(kStep, max_size)) {
-    contents.resize(stated);
-    const size_t size = ZSTD_decompress(contents.data(), stated, bytes.data(), bytes.size());
-    if (size == stated) return contents;
-    contents.clear();  // damaged, or several frames
-  }
   Unzstd(ByteReader(bytes), max_size, [&](std::string_view piece) { contents.append(piece); });
   return contents;
 }
@@ -248,9 +235,7 @@ std::string Ros1Type(std::string type, const std::string& encoding) {
 bool IsRos2Bag(const std::string& path) {
   if (IsFolder(path)) return IsFile(path + "/metadata.yaml") || !FindBagFiles(path).empty();
   if (!IsFile(path)) return false;
-  std::string start(16, '\0');
-  std::ifstream(path, std::ios::binary)
-      .read(start.data(), static_cast<std::streamsize>(start.size()));
+  const std::string start = InputFile(path).Start();
   return IsMcap(start) || IsSqlite(start) || IsZstd(start) ||
          !Ending(fs::path(path).filename(), kRos2Endings).empty();
 }

@@ -1,9 +1,6 @@
 // The format: http://wiki.ros.org/Bags/Format/2.0. All numbers are little endian.
 
-#include <cerrno>
-#include <cstring>
 #include <filesystem>
-#include <fstream>
 #include <map>
 
 #include "imu_pose_calib/ros/io/bag_file.h"
@@ -192,7 +189,6 @@ class Ros1File : public RecordFile {
 
 std::unique_ptr<BagFile> OpenRos1(const std::string& path) {
   if (!std::filesystem::is_regular_file(path)) Reject("bag '", path, "' is not a file");
-  if (!std::ifstream(path)) Reject("bag '", path, "' cannot be read: ", std::strerror(errno));
   auto input = std::make_unique<InputFile>(path);
   const std::string start = input->Start().substr(0, kMagicSize - 1);
   if (start.compare(0, kMagic.size(), kMagic) != 0)
