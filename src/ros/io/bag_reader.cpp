@@ -293,22 +293,23 @@ struct PoseReader {
   }
 };
 
-/// The poses of a reader that has frames of tf. Without any it has none of these afterwards when it
-/// may lack them.
-void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reader) {
+/// The poses of a reader that has frames of tf. A sensor that lacks them, as it may, has no frames
+/// afterwards.
+void ReadTf(const Bags& bags, const RecordingRequest& request, PoseReader* reader) {
   const std::string parent = reader->tf->first, child = reader->tf->second;
   TfChain chain(parent, child, bags.duration_s());
-  AddTf(bags, record_time, &chain, [&](const BagMessage& message, const PoseSample& pose) {
+  AddTf(bags, request.record_time, &chain, [&](const BagMessage& message, const PoseSample& pose) {
     reader->Add(message, {pose, parent, child}, false);
   });
   if (!reader->poses.samples.empty()) return;
-  if (may_lack) return reader->tf.reset();
+  const bool is_marker = reader->field == "pose_topic";
+  if (request.may_lack_sensors && !is_marker) return reader->tf.reset();
   try {
     chain.Check();
     Reject("at no stamp are all links between tf_parent '", parent, "' and tf_child '", child,
            "' known");
   } catch (const InputError& error) {
-    if (reader->field == "pose_topic") throw;
+    if (is_marker) throw;
     Reject(reader->field, " '", reader->Name(), "': ", error.what());
   }
 }
@@ -398,8 +399,7 @@ Recording Read(const RecordingRequest& request) {
 
   for (size_t i = 0; i < imus.size(); ++i) imus[i].Finish(&data.imus[i]);
   for (PoseReader& reader : poses)
-    if (reader.tf)
-      ReadTf(bags, request.record_time, request.may_lack_sensors && &reader != &poses[0], &reader);
+    if (reader.tf) ReadTf(bags, request, &reader);
   poses[0].Finish(request.record_time, &info, &data.poses);
   for (size_t k = 1; k < poses.size(); ++k)
     poses[k].Finish(&info.pose_sensors.emplace_back(), &data.pose_sensors.emplace_back());

@@ -44,7 +44,6 @@ bool BagTopic::IsBodies() const { return type == kRigidBodies || type == kNamedP
 std::vector<FramedPose> ReadBodies(const BagMessage& message) {
   const bool has_markers = message.type == kRigidBodies;
   std::vector<FramedPose> bodies;
-  if (message.md5sum) return bodies;  // there are none of ROS 1
   message.Read([&](MessageInput* input) {
     const auto header = Next<std_msgs::Header>(input);
     if (has_markers) Next<uint32_t>(input);  // frame
