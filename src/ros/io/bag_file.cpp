@@ -61,9 +61,7 @@ std::vector<std::string> ReadMetadata(const fs::path& metadata) {
         Reject("the file '", given.string(), "' that it names is missing");
       files.push_back(file);
     }
-  } catch (const YAML::Exception& error) {
-    Reject("'", metadata.string(), "': rosbag2_bagfile_information: ", error.msg);
-  } catch (const InputError& error) {
+  } catch (const std::runtime_error& error) {
     Reject("'", metadata.string(), "': ", error.what());
   }
   return files;
@@ -149,8 +147,6 @@ std::string DecompressBz2(std::string_view bytes, uint64_t size) {
 
 }  // namespace
 
-bool IsZstd(std::string_view bytes) { return bytes.substr(0, 4) == "\x28\xb5\x2f\xfd"; }
-
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
   std::string contents;
   Unzstd(ByteReader(bytes), max_size, [&](std::string_view piece) { contents.append(piece); });
@@ -182,20 +178,25 @@ std::string InputFile::Read(uint64_t at, uint64_t size) {
   return bytes;
 }
 
-std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
+std::unique_ptr<BagFile> OpenBagFile(const std::string& path) {
+  if (!IsFile(path)) Reject("bag '", path, "' is not a file");
   auto input = std::make_unique<InputFile>(path);
   std::optional<TemporaryFolder> folder;  // what is open in it can be read without it
   std::string unfolded = path;
-  if (IsZstd(input->Start())) {
+  if (boost::starts_with(input->Start(), kZstdMagic)) {
     unfolded = folder.emplace().path() / "unfolded";
     UnzstdInto(unfolded, path, input.get());
     input = std::make_unique<InputFile>(unfolded);
   }
   const std::string start = input->Start();
-  if (IsMcap(start)) return OpenMcap(std::move(input), path);
-  if (IsSqlite(start)) return OpenSqlite(unfolded, path);
-  Reject("'", path, "' is neither an mcap file nor a database of SQLite",
-         (start.empty() ? ": it is empty" : ""));
+  if (boost::starts_with(start, kRos1Magic)) return OpenRos1(std::move(input), path);
+  if (boost::starts_with(start, kMcapMagic)) return OpenMcap(std::move(input), path);
+  if (boost::starts_with(start, kSqliteMagic)) return OpenSqlite(unfolded, path);
+  Reject(
+      "'", path,
+      (Ending(path, kRos2Endings).empty() ? "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2"
+                                          : "' is neither an mcap file nor a database of SQLite"),
+      (start.empty() ? ": it is empty" : ""));
 }
 
 uint32_t RecordFile::AddChunk(std::string_view compression, ByteReader stored, uint64_t size) {
@@ -232,18 +233,10 @@ std::string Ros1Type(std::string type, const std::string& encoding) {
   return encoding == "cdr" ? type : type + " in " + encoding;
 }
 
-bool IsRos2Bag(const std::string& path) {
-  if (IsFolder(path)) return IsFile(path + "/metadata.yaml") || !FindBagFiles(path).empty();
-  if (!IsFile(path)) return false;
-  const std::string start = InputFile(path).Start();
-  return IsMcap(start) || IsSqlite(start) || IsZstd(start) ||
-         !Ending(fs::path(path).filename(), kRos2Endings).empty();
-}
-
 std::vector<std::string> MessageFiles(const std::string& path) {
-  if (!fs::is_directory(path)) return {path};
-  const fs::path metadata = fs::path(path) / "metadata.yaml";
-  return fs::exists(metadata) ? ReadMetadata(metadata) : FindBagFiles(path);
+  if (!IsFolder(path)) return {path};
+  const std::string metadata = fs::path(path) / "metadata.yaml";
+  return IsFile(metadata) ? ReadMetadata(metadata) : FindBagFiles(path);
 }
 
 std::string WithoutBagEnding(const std::string& path) {

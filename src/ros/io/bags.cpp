@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/predicate.hpp>
 #include <cmath>
 #include <map>
 
@@ -26,7 +27,7 @@ void BagMessage::Read(const std::function<void(MessageInput*)>& read) const {
   try {
     const bool is_cdr = md5sum == nullptr;
     std::string unfolded;
-    const bool is_compressed = is_cdr && IsZstd(data);  // CDR begins with 0
+    const bool is_compressed = is_cdr && boost::starts_with(data, kZstdMagic);  // CDR begins with 0
     if (is_compressed) unfolded = DecompressZstd(data, kMaxBlockSize);
     MessageInput input(is_compressed ? unfolded : data, is_cdr);
     read(&input);
@@ -73,14 +74,10 @@ std::string Describe(const std::vector<BagTopic>& topics) {
 Bags::Bags(const std::vector<std::string>& paths, double start_s, double duration_s)
     : paths_(paths) {
   CheckBagsExist(paths_);
-  const auto ros2 = std::count_if(paths_.begin(), paths_.end(), IsRos2Bag);
-  if (ros2 != 0 && ros2 != static_cast<int64_t>(paths_.size()))
-    Reject("bags of ROS 1 and of ROS 2 cannot be one recording: ", FileNames(paths_));
   for (const std::string& path : paths_) {
-    if (ros2 == 0)
-      files_.push_back(OpenRos1(path));
-    else
-      for (const std::string& file : MessageFiles(path)) files_.push_back(OpenRos2(file));
+    const std::vector<std::string> files = MessageFiles(path);
+    if (files.empty()) Reject("bag '", path, "' is not a file, and no file of a bag is in it");
+    for (const std::string& file : files) files_.push_back(OpenBagFile(file));
   }
   for (const auto& file : files_) {
     for (const BagFile::Entry& entry : file->entries()) index_.push_back({entry, file.get()});
@@ -90,8 +87,14 @@ Bags::Bags(const std::vector<std::string>& paths, double start_s, double duratio
                    [](const Place& a, const Place& b) { return a.entry.t_ns < b.entry.t_ns; });
   SetSpan(start_s, duration_s);
   std::map<std::string, std::set<std::string>> types;
+  std::set<bool> kinds;
   for (const auto& file : files_)
-    for (const BagFile::Topic& topic : file->topics()) types[topic.name].insert(topic.type);
+    for (const BagFile::Topic& topic : file->topics()) {
+      types[topic.name].insert(topic.type);
+      kinds.insert(topic.md5sum.has_value());
+    }
+  if (kinds.size() > 1)
+    Reject("bags of ROS 1 and of ROS 2 cannot be one recording: ", FileNames(paths_));
   std::map<std::string, uint32_t> counts;
   for (const Place& place : index_)
     if (IsUsed(place)) ++counts[place.file->topics()[place.entry.topic].name];

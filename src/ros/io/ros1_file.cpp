@@ -1,6 +1,5 @@
 // The format: http://wiki.ros.org/Bags/Format/2.0. All numbers are little endian.
 
-#include <filesystem>
 #include <map>
 
 #include "imu_pose_calib/ros/io/bag_file.h"
@@ -9,8 +8,8 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr std::string_view kMagic = "#ROSBAG V", kFormat = "2.0";
-constexpr size_t kMagicSize = kMagic.size() + kFormat.size() + 1;  // with the end of the line
+constexpr std::string_view kFormat = "2.0";
+constexpr size_t kBegin = kRos1Magic.size() + kFormat.size() + 1;  // of records, after the line
 /// What the operation codes of records say that they are.
 constexpr char kMessage = 0x02, kIndex = 0x04, kChunk = 0x05, kConnection = 0x07;
 
@@ -110,14 +109,14 @@ class Ros1File : public RecordFile {
   /// By the connections at the end and the index after each chunk, of which none is unfolded. False
   /// when the recorder has not come to write them.
   bool ReadIndexed() {
-    ByteReader first = From(kMagicSize);
+    ByteReader first = From(kBegin);
     const auto end = Record(&first).Number<uint64_t>("index_pos");
     if (end == 0) return false;
     ByteReader last = From(0);
     for (last.Skip(end); last.size() > 0;)
       if (Record record(&last); record.kind == kConnection) ReadConnection(record);
     uint32_t chunk = 0;
-    for (ByteReader reader = From(kMagicSize).Skip(end - kMagicSize); reader.size() > 0;) {
+    for (ByteReader reader = From(kBegin).Skip(end - kBegin); reader.size() > 0;) {
       Record record(&reader);
       if (record.kind == kChunk) chunk = ReadChunk(record);
       if (record.kind != kIndex) continue;
@@ -133,7 +132,7 @@ class Ros1File : public RecordFile {
 
   /// Without a usable index: chunk after chunk, as far as they are whole.
   void Scan() {
-    ByteReader reader = From(kMagicSize);
+    ByteReader reader = From(kBegin);
     ByteReader rest = reader;  // from the end of the last record that is whole
     try {
       while (rest.size() > 0) {
@@ -187,15 +186,10 @@ class Ros1File : public RecordFile {
 
 }  // namespace
 
-std::unique_ptr<BagFile> OpenRos1(const std::string& path) {
-  if (!std::filesystem::is_regular_file(path)) Reject("bag '", path, "' is not a file");
-  auto input = std::make_unique<InputFile>(path);
-  const std::string start = input->Start().substr(0, kMagicSize - 1);
-  if (start.compare(0, kMagic.size(), kMagic) != 0)
-    Reject("'", path, "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2");
-  const std::string version = start.substr(kMagic.size());
-  if (version != kFormat) Reject("bag '", path, "' is of version ", version, ", must be 2.0");
-  return std::make_unique<Ros1File>(std::move(input), path);
+std::unique_ptr<BagFile> OpenRos1(std::unique_ptr<InputFile> input, const std::string& name) {
+  const std::string version = input->Start().substr(kRos1Magic.size(), kFormat.size());
+  if (version != kFormat) Reject("bag '", name, "' is of version ", version, ", must be 2.0");
+  return std::make_unique<Ros1File>(std::move(input), name);
 }
 
 }  // namespace imu_pose_calib

@@ -11,8 +11,6 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr std::string_view kMagic("SQLite format 3\0", 16);
-
 struct CloseSqlite {
   void operator()(sqlite3* database) const { sqlite3_close(database); }
   void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
@@ -182,8 +180,6 @@ class SqliteStorage final : public Ros2Storage {
 };
 
 }  // namespace
-
-bool IsSqlite(std::string_view bytes) { return bytes.substr(0, kMagic.size()) == kMagic; }
 
 std::unique_ptr<BagFile> OpenSqlite(const std::string& path, const std::string& name) {
   return std::make_unique<SqliteFile>(path, name);

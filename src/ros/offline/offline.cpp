@@ -71,7 +71,7 @@ void NameFiles(OfflineRequest* request) {
 std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
   const std::vector<std::string>& paths = given.paths;
   const bool is_text = std::all_of(paths.begin(), paths.end(), [](const std::string& path) {
-    return IsFolder(path) && !IsRos2Bag(path);
+    return IsFolder(path) && MessageFiles(path).empty();
   });
   const bool is_mixed = !is_text && NamesFiles(given);
   std::vector<std::vector<std::string>> groups = {paths};
