@@ -19,12 +19,8 @@ namespace {
 
 // --- Which topics ---
 
-/// Whether `is_it` of any topic.
-bool Has(const Bags& bags, const std::function<bool(const BagTopic&)>& is_it) {
-  return !bags.Select(is_it).empty();
-}
 bool HasTopic(const Bags& bags, const std::string& name) {
-  return Has(bags, [&](const BagTopic& topic) { return topic.name == name; });
+  return !bags.Select([&](const BagTopic& topic) { return topic.name == name; }).empty();
 }
 
 /// What carries no data of a sensor has it zero throughout.
@@ -38,45 +34,39 @@ ImuInfo NamedImu(const std::string& gyro, const std::string& accel) {
   return imu;
 }
 
-ImuInfo FindImu(const Bags& bags) {
+/// The IMU when none is named; none when there is none and poses of sensors do without.
+std::vector<ImuInfo> FindImu(const Bags& bags, const RecordingRequest& request) {
   const std::vector<BagTopic> candidates = bags.Select(&BagTopic::IsImu);
+  if (candidates.empty() && !request.pose_sensors.empty()) return {};
   if (candidates.empty())
     Reject("no topic of type ", kImuType, " in ", bags.Contents(),
-           (Has(bags, &BagTopic::IsVector) ? std::string("; say which ") + kVectorType +
-                                                 " is which with gyro_topic and accel_topic"
-                                           : ""));
-  if (candidates.size() == 1) return NamedImu(candidates[0].name, candidates[0].name);
+           (bags.Select(&BagTopic::IsVector).empty()
+                ? ""
+                : std::string("; say which ") + kVectorType +
+                      " is which with gyro_topic and accel_topic"));
+  for (const auto& [name, type, count] : candidates)
+    if (candidates.size() == 1 || name == request.usual_imu_topic) return {NamedImu(name, name)};
 
-  std::vector<std::string> gyros, accels;
-  for (const BagTopic& topic : candidates) {
-    bool has_gyro = false, has_accel = false;
-    bags.ForEach({topic.name}, [&](const BagMessage& message) {
-      const ImuContent content = ReadImuContent(message.type, message);
-      has_gyro = has_gyro || (content.gyro && IsData(*content.gyro));
-      has_accel = has_accel || (content.accel && IsData(*content.accel));
-      return !(has_gyro && has_accel);
-    });
-    if (has_gyro) gyros.push_back(topic.name);
-    if (has_accel) accels.push_back(topic.name);
-  }
+  std::set<std::string> topics, gyros, accels;
+  for (const BagTopic& topic : candidates) topics.insert(topic.name);
+  bags.ForEach(topics, [&](const BagMessage& message) {
+    const ImuContent content = ReadImuContent(message.type, message);
+    if (content.gyro && IsData(*content.gyro)) gyros.insert(message.topic);
+    if (content.accel && IsData(*content.accel)) accels.insert(message.topic);
+    return gyros.size() < 2 && accels.size() < 2;
+  });
   if (gyros.size() != 1 || accels.size() != 1)
     Reject("several IMU topics: ", Describe(candidates),
            "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of one body "
            "have white space between their topics");
-  return NamedImu(gyros[0], accels[0]);
+  return {NamedImu(*gyros.begin(), *accels.begin())};
 }
 
 /// The topics of each IMU; nameless for one that is missing.
 std::vector<ImuInfo> ChooseImus(const Bags& bags, const RecordingRequest& request) {
   const bool is_split = IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
                                {"accel_topic", request.accel_topic});
-  if (!is_split && request.imu_topic.empty()) {
-    const std::string& usual = request.usual_imu_topic;
-    if (Has(bags, [&](const BagTopic& t) { return t.IsImu() && t.name == usual; }))
-      return {NamedImu(usual, usual)};
-    if (!request.pose_sensors.empty() && !Has(bags, &BagTopic::IsImu)) return {};
-    return {FindImu(bags)};
-  }
+  if (!is_split && request.imu_topic.empty()) return FindImu(bags, request);
   const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
   const auto accels = is_split ? SplitNames(request.accel_topic) : gyros;
   if (gyros.size() != accels.size())
@@ -128,7 +118,7 @@ TfChain ReadLinks(const Bags& bags) {
 
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
-  if (!Has(bags, &BagTopic::IsTf)) return "";
+  if (bags.Select(&BagTopic::IsTf).empty()) return "";
   return "; for poses from tf give tf_parent and tf_child, its frames are: " +
          ReadLinks(bags).Links();
 }
