@@ -87,7 +87,7 @@ Bags::Bags(const std::vector<std::string>& paths, double start_s, double duratio
                    [](const Place& a, const Place& b) { return a.entry.t_ns < b.entry.t_ns; });
   SetSpan(start_s, duration_s);
   std::map<std::string, std::set<std::string>> types;
-  std::set<bool> kinds;
+  std::set<bool> kinds;  // of ROS: 1 has a sum of each definition
   for (const auto& file : files_)
     for (const BagFile::Topic& topic : file->topics()) {
       types[topic.name].insert(topic.type);
@@ -99,8 +99,7 @@ Bags::Bags(const std::vector<std::string>& paths, double start_s, double duratio
   for (const Place& place : index_)
     if (IsUsed(place)) ++counts[place.file->topics()[place.entry.topic].name];
   for (const auto& [name, its] : types)  // more than one type fits no role
-    topics_.push_back(
-        {name, *its.begin() + (its.size() > 1 ? " and " + *its.rbegin() : ""), counts[name]});
+    topics_.push_back({name, boost::join(its, " and "), counts[name]});
 }
 
 const BagTopic& Bags::Find(const std::string& field, const std::string& name,
