@@ -294,14 +294,11 @@ void ReadTf(const Bags& bags, const RecordingRequest& request, PoseReader* reade
   if (!reader->poses.samples.empty()) return;
   const bool is_marker = reader->field == "pose_topic";
   if (request.may_lack_sensors && !is_marker) return reader->tf.reset();
-  try {
-    chain.Check();
-    Reject("at no stamp are all links between tf_parent '", parent, "' and tf_child '", child,
-           "' known");
-  } catch (const InputError& error) {
-    if (is_marker) throw;
-    Reject(reader->field, " '", reader->Name(), "': ", error.what());
-  }
+  std::string problem = chain.Problem();
+  if (problem.empty())
+    problem = "at no stamp are all links between tf_parent '" + parent + "' and tf_child '" +
+              child + "' known";
+  Reject((is_marker ? "" : reader->field + " '" + reader->Name() + "': "), problem);
 }
 
 /// The marker's: of the topic or the frames of tf that are named, of the only topic that may be it
@@ -404,7 +401,7 @@ constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
 /// When a bag was recorded and what it holds of poses and IMUs.
 struct BagSpan {
   double begin_s, end_s;
-  std::vector<std::string> topics;
+  std::set<std::string> topics;
   size_t recording = 0;  ///< which it is of
 
   explicit BagSpan(const std::string& path) {
@@ -412,7 +409,7 @@ struct BagSpan {
     begin_s = bag.begin_s();
     end_s = begin_s + bag.duration_s();
     for (const BagTopic& topic : bag.topics())
-      if (topic.IsImu() || topic.IsVector() || topic.IsPose()) topics.push_back(topic.name);
+      if (topic.IsImu() || topic.IsVector() || topic.IsPose()) topics.insert(topic.name);
   }
 
   /// Whether both are of one recording: one goes on where the other ends, or they hold other topics
@@ -420,10 +417,9 @@ struct BagSpan {
   bool Continues(const BagSpan& other) const {
     const double pause = std::max(begin_s, other.begin_s) - std::min(end_s, other.end_s);
     if (pause > kMaxPause) return false;
-    const auto is_shared = [&](const std::string& topic) {
-      return std::count(other.topics.begin(), other.topics.end(), topic) > 0;
-    };
-    return pause > -kMaxOverlap || std::none_of(topics.begin(), topics.end(), is_shared);
+    return pause > -kMaxOverlap ||
+           std::none_of(topics.begin(), topics.end(),
+                        [&](const std::string& topic) { return other.topics.count(topic) > 0; });
   }
 };
 

@@ -138,29 +138,28 @@ std::optional<std::vector<std::string>> TfChain::Chain() const {
   return up;
 }
 
-void TfChain::Check() const {
+std::string TfChain::Problem() const {
   const auto is_known = [&](const std::string& frame) {
     return std::any_of(links_.begin(), links_.end(), [&](const auto& link) {
       return link.first == frame || link.second.parent == frame;
     });
   };
-  for (const auto& [field, frame] :
-       {std::pair<std::string, std::string>("tf_parent", parent_), {"tf_child", child_}})
-    if (!is_known(frame)) Reject(field, " '", frame, "' is not in tf, which has: ", Links());
+  if (!is_known(parent_)) return "tf_parent '" + parent_ + "' is not in tf, which has: " + Links();
+  if (!is_known(child_)) return "tf_child '" + child_ + "' is not in tf, which has: " + Links();
   const std::string pair = "tf_parent '" + parent_ + "' and tf_child '" + child_ + "'";
   const auto chain = Chain();
-  if (!chain) Reject(pair, " are not connected in tf, which has: ", Links());
+  if (!chain) return pair + " are not connected in tf, which has: " + Links();
   if (chain->empty())
-    Reject(pair, " are fixed to each other: every link between them is static; choose ",
-           "frames that move, tf has: ", Links());
+    return pair + " are fixed to each other: every link between them is static; choose " +
+           "frames that move, tf has: " + Links();
   for (const std::string& frame : *chain)
     if (links_.at(frame).last == 0)
-      Reject("'", Printable(frame), "', which is between ", pair,
+      return "'" + Printable(frame) + "', which is between " + pair +
              ", has no usable transform: stamp 0, not finite, or a quaternion that is not of unit "
-             "length");
-  if (std::none_of(chain->begin(), chain->end(),
-                   [&](const std::string& frame) { return links_.at(frame).moves; }))
-    Reject(pair, " do not move against each other");
+             "length";
+  const bool moves = std::any_of(chain->begin(), chain->end(),
+                                 [&](const std::string& frame) { return links_.at(frame).moves; });
+  return moves ? "" : pair + " do not move against each other";
 }
 
 std::optional<std::pair<std::string, std::string>> TfChain::SinglePair() const {

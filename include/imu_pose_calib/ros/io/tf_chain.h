@@ -37,9 +37,9 @@ class TfChain {
   /// How many updates have been kept for poses that are not known yet.
   size_t Pending() const;
 
-  /// Throws InputError naming the frames when the links seen so far cannot give poses: a frame is
-  /// missing, the two are not connected, or nothing between them moves.
-  void Check() const;
+  /// Why the links seen so far cannot give poses, naming the frames: one is missing, the two are
+  /// not connected, or nothing between them moves. Empty: they can.
+  std::string Problem() const;
 
   /// All links seen so far, printable: "world -> base, base -> tool (fixed)".
   std::string Links() const;
