@@ -62,9 +62,9 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
   auto& updates = link.updates;
   if (usable && !link.moves && transform.transform != link.first_transform) {
     link.moves = true;
-    if (link.first > last_taken_) updates.emplace(link.first, true);
+    if (link.first > last_taken_) updates.emplace(link.first, false);
   }
-  if (link.moves || !usable) updates.emplace(stamp, true).first->second &= usable;
+  if (link.moves || !usable) updates[stamp] |= !usable;
   if (usable) {
     link.first = std::min(link.first, stamp);
     link.last = std::max(link.last, stamp);
@@ -84,23 +84,23 @@ std::vector<PoseSample> TfChain::TakePoses() {
     end = std::min(end, links_[frame].last);
   }
 
-  std::map<int64_t, bool> due;  // stamp; whether all of its updates are usable
+  std::map<int64_t, bool> due;  // stamp; whether one of its updates is unusable
   for (const std::string& frame : *chain) {
     auto& updates = links_[frame].updates;
     const auto waiting = updates.upper_bound(end);
     for (auto update = updates.begin(); update != waiting; ++update)
-      due.emplace(update->first, true).first->second &= update->second;
+      due[update->first] |= update->second;
     updates.erase(updates.begin(), waiting);
   }
 
   std::vector<PoseSample> poses;
-  for (const auto& [stamp, usable] : due) {
+  for (const auto& [stamp, is_lost] : due) {
     if (stamp < begin) continue;
     last_taken_ = std::max(last_taken_, stamp);
     PoseSample& pose = poses.emplace_back();
     pose.t_ns = stamp;
     pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
-    if (!usable) continue;
+    if (is_lost) continue;
     try {
       const ros::Time time = FromNanoseconds(stamp);
       pose = ToPoseSample(time, buffer_->lookupTransform(parent_, child_, time).transform);

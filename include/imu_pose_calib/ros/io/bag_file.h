@@ -165,9 +165,8 @@ constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
 constexpr std::string_view kSqliteMagic("SQLite format 3\0", 16);
 constexpr std::string_view kZstdMagic = "\x28\xb5\x2f\xfd";
 
-/// A file of a bag, by its first bytes: of ROS 1, or of ROS 2, which is mcap or a database of
-/// SQLite
-/// (.db3); whole or compressed by zstd. Throws InputError naming the file.
+/// A file of a bag, by its first bytes: of ROS 1, mcap or a database of SQLite (.db3), whole or
+/// compressed by zstd. Throws InputError naming the file.
 std::unique_ptr<BagFile> OpenBagFile(const std::string& path);
 
 /// The contents of zstd frames. Memory is taken as they unfold, up to `max_size`. Throws InputError

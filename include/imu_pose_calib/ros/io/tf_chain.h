@@ -54,8 +54,8 @@ class TfChain {
     bool moves = false;           ///< has changed
     int64_t first = 0, last = 0;  ///< [ns] stamps of usable updates; 0: none
     geometry_msgs::Transform first_transform;
-    /// Stamps [ns] of updates that call for a pose and have not been taken; whether all of this
-    /// stamp are usable.
+    /// Stamps [ns] of updates that call for a pose and have not been taken; whether one of this
+    /// stamp is unusable.
     std::map<int64_t, bool> updates;
   };
 
