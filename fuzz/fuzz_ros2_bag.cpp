@@ -55,12 +55,11 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const std::string_view bytes(reinterpret_cast<const char*>(data), size);
   std::ofstream(BagPath(), std::ios::binary) << bytes;
   Try([&] {
-    const bool is_ros1 = size > 0 && data[0] == '#';
-    const auto file = is_ros1 ? OpenRos1(BagPath()) : OpenRos2(BagPath());
+    const auto file = OpenBagFile(BagPath());
     for (const BagFile::Entry& entry : file->entries())
       Try([&] { ReadMessage(file->Read(entry)); });
   });
-  if (IsZstd(bytes)) Try([&] { ReadMessage(DecompressZstd(bytes, 1 << 24)); });
+  if (bytes.substr(0, 4) == kZstdMagic) Try([&] { ReadMessage(DecompressZstd(bytes, 1 << 24)); });
   ReadMessage(bytes);
   return 0;
 }

@@ -179,7 +179,7 @@ TEST_F(Ros2BagTest, AFileOfAnySizeMayBeCompressed) {
     std::string bytes = "\x89MCAP0\r\n";
     bytes.resize(size, 'x');
     WriteBytes("whole.zstd", CompressZstd(bytes));
-    const std::string note = OpenRos2(Path("whole.zstd"))->note();
+    const std::string note = OpenBagFile(Path("whole.zstd"))->note();
     EXPECT_TRUE(Contains(note, "byte 8 of " + std::to_string(size) + ",")) << note;
   }
 }

@@ -48,7 +48,7 @@ TEST(TfChain, GivesThePosesOfOneLink) {
   chain.Add(Message({Link("world", "/marker", 3.0, 5.0)}), false);
   EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{3.0, 5.0}}));
   EXPECT_TRUE(chain.TakePoses().empty());
-  chain.Check();
+  EXPECT_EQ(chain.Problem(), "");
 }
 
 TEST(TfChain, ComposesLinksUpAndDownTheTree) {
@@ -210,7 +210,8 @@ TEST(TfChain, GoesOnAfterAStall) {
 }
 
 void ExpectProblem(const TfChain& chain, const std::vector<std::string>& parts) {
-  ExpectError<InputError>([&] { chain.Check(); }, parts);
+  for (const std::string& part : parts)
+    EXPECT_TRUE(Contains(chain.Problem(), part)) << chain.Problem();
 }
 
 TEST(TfChain, NamesWhatIsMissing) {

@@ -61,9 +61,7 @@ std::vector<std::string> ReadMetadata(const fs::path& metadata) {
         Reject("the file '", given.string(), "' that it names is missing");
       files.push_back(file);
     }
-  } catch (const YAML::Exception& error) {
-    Reject("'", metadata.string(), "': rosbag2_bagfile_information: ", error.msg);
-  } catch (const InputError& error) {
+  } catch (const std::runtime_error& error) {
     Reject("'", metadata.string(), "': ", error.what());
   }
   return files;
@@ -102,16 +100,11 @@ void Unzstd(ByteReader frames, uint64_t max_size,
 /// Unfolds a file, called `name` in errors.
 void UnzstdInto(const std::string& path, const std::string& name, InputFile* input) {
   std::ofstream file(path, std::ios::binary);
-  const auto check = [&] {
-    if (!file) Reject("cannot be unfolded into a temporary file: ", std::strerror(errno));
-  };
   try {
     Unzstd({input, 0}, kMaxBlockSize + 100 * input->size(), [&](std::string_view piece) {
-      file << piece;
-      check();
+      if (!(file << piece << std::flush))
+        Reject("cannot be unfolded into a temporary file: ", std::strerror(errno));
     });
-    file.close();
-    check();
   } catch (const InputError& error) {
     Reject("'", name, "': ", error.what());
   }
@@ -154,18 +147,8 @@ std::string DecompressBz2(std::string_view bytes, uint64_t size) {
 
 }  // namespace
 
-bool IsZstd(std::string_view bytes) { return bytes.substr(0, 4) == "\x28\xb5\x2f\xfd"; }
-
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size) {
   std::string contents;
-  // As most messages are, for which a stream would take longer to set up than to run.
-  const uint64_t stated = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
-  if (stated <= std::min<uint64_t>(kStep, max_size)) {
-    contents.resize(stated);
-    const size_t size = ZSTD_decompress(contents.data(), stated, bytes.data(), bytes.size());
-    if (size == stated) return contents;
-    contents.clear();  // damaged, or several frames
-  }
   Unzstd(ByteReader(bytes), max_size, [&](std::string_view piece) { contents.append(piece); });
   return contents;
 }
@@ -195,20 +178,25 @@ std::string InputFile::Read(uint64_t at, uint64_t size) {
   return bytes;
 }
 
-std::unique_ptr<BagFile> OpenRos2(const std::string& path) {
+std::unique_ptr<BagFile> OpenBagFile(const std::string& path) {
+  if (!IsFile(path)) Reject("bag '", path, "' is not a file");
   auto input = std::make_unique<InputFile>(path);
   std::optional<TemporaryFolder> folder;  // what is open in it can be read without it
   std::string unfolded = path;
-  if (IsZstd(input->Start())) {
+  if (boost::starts_with(input->Start(), kZstdMagic)) {
     unfolded = folder.emplace().path() / "unfolded";
     UnzstdInto(unfolded, path, input.get());
     input = std::make_unique<InputFile>(unfolded);
   }
   const std::string start = input->Start();
-  if (IsMcap(start)) return OpenMcap(std::move(input), path);
-  if (IsSqlite(start)) return OpenSqlite(unfolded, path);
-  Reject("'", path, "' is neither an mcap file nor a database of SQLite",
-         (start.empty() ? ": it is empty" : ""));
+  if (boost::starts_with(start, kRos1Magic)) return OpenRos1(std::move(input), path);
+  if (boost::starts_with(start, kMcapMagic)) return OpenMcap(std::move(input), path);
+  if (boost::starts_with(start, kSqliteMagic)) return OpenSqlite(unfolded, path);
+  Reject(
+      "'", path,
+      (Ending(path, kRos2Endings).empty() ? "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2"
+                                          : "' is neither an mcap file nor a database of SQLite"),
+      (start.empty() ? ": it is empty" : ""));
 }
 
 uint32_t RecordFile::AddChunk(std::string_view compression, ByteReader stored, uint64_t size) {
@@ -245,20 +233,10 @@ std::string Ros1Type(std::string type, const std::string& encoding) {
   return encoding == "cdr" ? type : type + " in " + encoding;
 }
 
-bool IsRos2Bag(const std::string& path) {
-  if (IsFolder(path)) return IsFile(path + "/metadata.yaml") || !FindBagFiles(path).empty();
-  if (!IsFile(path)) return false;
-  std::string start(16, '\0');
-  std::ifstream(path, std::ios::binary)
-      .read(start.data(), static_cast<std::streamsize>(start.size()));
-  return IsMcap(start) || IsSqlite(start) || IsZstd(start) ||
-         !Ending(fs::path(path).filename(), kRos2Endings).empty();
-}
-
 std::vector<std::string> MessageFiles(const std::string& path) {
-  if (!fs::is_directory(path)) return {path};
-  const fs::path metadata = fs::path(path) / "metadata.yaml";
-  return fs::exists(metadata) ? ReadMetadata(metadata) : FindBagFiles(path);
+  if (!IsFolder(path)) return {path};
+  const std::string metadata = fs::path(path) / "metadata.yaml";
+  return IsFile(metadata) ? ReadMetadata(metadata) : FindBagFiles(path);
 }
 
 std::string WithoutBagEnding(const std::string& path) {

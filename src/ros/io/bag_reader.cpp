@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
+#include <boost/algorithm/string/predicate.hpp>
 #include <functional>
 #include <optional>
 #include <set>
@@ -18,12 +19,8 @@ namespace {
 
 // --- Which topics ---
 
-/// Whether `is_it` of any topic.
-bool Has(const Bags& bags, const std::function<bool(const BagTopic&)>& is_it) {
-  return !bags.Select(is_it).empty();
-}
 bool HasTopic(const Bags& bags, const std::string& name) {
-  return Has(bags, [&](const BagTopic& topic) { return topic.name == name; });
+  return !bags.Select([&](const BagTopic& topic) { return topic.name == name; }).empty();
 }
 
 /// What carries no data of a sensor has it zero throughout.
@@ -37,45 +34,39 @@ ImuInfo NamedImu(const std::string& gyro, const std::string& accel) {
   return imu;
 }
 
-ImuInfo FindImu(const Bags& bags) {
+/// The IMU when none is named; none when there is none and poses of sensors do without.
+std::vector<ImuInfo> FindImu(const Bags& bags, const RecordingRequest& request) {
   const std::vector<BagTopic> candidates = bags.Select(&BagTopic::IsImu);
+  if (candidates.empty() && !request.pose_sensors.empty()) return {};
   if (candidates.empty())
     Reject("no topic of type ", kImuType, " in ", bags.Contents(),
-           (Has(bags, &BagTopic::IsVector) ? std::string("; say which ") + kVectorType +
-                                                 " is which with gyro_topic and accel_topic"
-                                           : ""));
-  if (candidates.size() == 1) return NamedImu(candidates[0].name, candidates[0].name);
+           (bags.Select(&BagTopic::IsVector).empty()
+                ? ""
+                : std::string("; say which ") + kVectorType +
+                      " is which with gyro_topic and accel_topic"));
+  for (const auto& [name, type, count] : candidates)
+    if (candidates.size() == 1 || name == request.usual_imu_topic) return {NamedImu(name, name)};
 
-  std::vector<std::string> gyros, accels;
-  for (const BagTopic& topic : candidates) {
-    bool has_gyro = false, has_accel = false;
-    bags.ForEach({topic.name}, [&](const BagMessage& message) {
-      const ImuContent content = ReadImuContent(message.type, message);
-      has_gyro = has_gyro || (content.gyro && IsData(*content.gyro));
-      has_accel = has_accel || (content.accel && IsData(*content.accel));
-      return !(has_gyro && has_accel);
-    });
-    if (has_gyro) gyros.push_back(topic.name);
-    if (has_accel) accels.push_back(topic.name);
-  }
+  std::set<std::string> topics, gyros, accels;
+  for (const BagTopic& topic : candidates) topics.insert(topic.name);
+  bags.ForEach(topics, [&](const BagMessage& message) {
+    const ImuContent content = ReadImuContent(message.type, message);
+    if (content.gyro && IsData(*content.gyro)) gyros.insert(message.topic);
+    if (content.accel && IsData(*content.accel)) accels.insert(message.topic);
+    return gyros.size() < 2 && accels.size() < 2;
+  });
   if (gyros.size() != 1 || accels.size() != 1)
     Reject("several IMU topics: ", Describe(candidates),
            "; choose with imu_topic, or with gyro_topic and accel_topic; several IMUs of one body "
            "have white space between their topics");
-  return NamedImu(gyros[0], accels[0]);
+  return {NamedImu(*gyros.begin(), *accels.begin())};
 }
 
 /// The topics of each IMU; nameless for one that is missing.
 std::vector<ImuInfo> ChooseImus(const Bags& bags, const RecordingRequest& request) {
   const bool is_split = IsPair({"imu_topic", request.imu_topic}, {"gyro_topic", request.gyro_topic},
                                {"accel_topic", request.accel_topic});
-  if (!is_split && request.imu_topic.empty()) {
-    const std::string& usual = request.usual_imu_topic;
-    if (Has(bags, [&](const BagTopic& t) { return t.IsImu() && t.name == usual; }))
-      return {NamedImu(usual, usual)};
-    if (!request.pose_sensors.empty() && !Has(bags, &BagTopic::IsImu)) return {};
-    return {FindImu(bags)};
-  }
+  if (!is_split && request.imu_topic.empty()) return FindImu(bags, request);
   const auto gyros = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
   const auto accels = is_split ? SplitNames(request.accel_topic) : gyros;
   if (gyros.size() != accels.size())
@@ -96,18 +87,38 @@ std::vector<ImuInfo> ChooseImus(const Bags& bags, const RecordingRequest& reques
   return imus;
 }
 
+/// Adds all of tf to a chain: first the fixed transforms of the whole bags, which are sent once,
+/// then the others in the order of recording. Calls `use(message, pose)` for each pose that this
+/// gives.
+void AddTf(const Bags& bags, bool record_time, TfChain* chain,
+           const std::function<void(const BagMessage&, const PoseSample&)>& use) {
+  for (const bool fixed : {true, false}) {
+    std::set<std::string> names;
+    for (const BagTopic& topic : bags.topics())
+      if (topic.IsTf() && boost::ends_with(topic.name, "tf_static") == fixed)
+        names.insert(topic.name);
+    const auto add = [&](const BagMessage& message) {
+      const auto msg = message.instantiate<tf2_msgs::TFMessage>();
+      if (record_time)
+        for (auto& transform : msg->transforms) transform.header.stamp = message.time;
+      chain->Add(*msg, fixed);
+      for (const PoseSample& pose : chain->TakePoses()) use(message, pose);
+      return true;
+    };
+    bags.ForEach(names, add, fixed);
+  }
+}
+
 /// All links of tf, for no chain.
 TfChain ReadLinks(const Bags& bags) {
   TfChain links("", "", 0.0);
-  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
-    links.Add(*message.instantiate<tf2_msgs::TFMessage>(), fixed);
-  });
+  AddTf(bags, false, &links, {});
   return links;
 }
 
 /// What poses could come from when there is no pose topic.
 std::string TfHint(const Bags& bags) {
-  if (!Has(bags, &BagTopic::IsTf)) return "";
+  if (bags.Select(&BagTopic::IsTf).empty()) return "";
   return "; for poses from tf give tf_parent and tf_child, its frames are: " +
          ReadLinks(bags).Links();
 }
@@ -121,47 +132,14 @@ bool MayBeMarker(const RecordingRequest& request, const BagTopic& topic) {
          (topic.IsBodies() || std::none_of(sensors.begin(), sensors.end(), is_it));
 }
 
-/// The frames of tf that the poses of the marker are between, if they are from tf: those that are
-/// named, or the only two where nothing else has poses.
-std::optional<TfFrames> ChooseTf(const Bags& bags, const RecordingRequest& request) {
-  if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
-             {"tf_child", request.tf_child})) {
-    if (!request.body.empty()) Reject("body '", request.body, "' does not go with poses from tf");
-    return TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
-  }
-  if (request.NamesPoseFile() || !request.pose_topic.empty() || !request.body.empty() ||
-      Has(bags, [&](const BagTopic& t) { return MayBeMarker(request, t); }))
-    return std::nullopt;
-  std::optional<TfFrames> pair = ReadLinks(bags).SinglePair();
-  for (const std::string& name : SplitPaths(request.pose_sensors))
-    if (pair && SplitTf(name) == pair) return std::nullopt;
-  return pair;
-}
-
 BagTopic NamedPose(const Bags& bags, const std::string& field, const std::string& name) {
   const BagTopic& topic = bags.Find(field, name);
+  if (topic.IsTf() && field == "pose_topic")
+    Reject(field, " '", name, "' is ", topic.type, "; leave it empty", TfHint(bags));
   if (!topic.IsPose())
     Reject(field, " '", name, "' is ", topic.type, ", must be ", boost::join(kPoseTypes, " or "),
            (topic.IsTf() ? ", or named tf:PARENT:CHILD" : ""));
   return topic;
-}
-
-BagTopic ChoosePose(const Bags& bags, const RecordingRequest& request) {
-  const std::string& name = request.pose_topic;
-  if (!name.empty()) {
-    const BagTopic& topic = bags.Find("pose_topic", name);
-    if (topic.IsTf())
-      Reject("pose_topic '", name, "' is ", topic.type, "; leave it empty", TfHint(bags));
-    return NamedPose(bags, "pose_topic", name);
-  }
-  const std::vector<BagTopic> candidates =
-      bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
-  if (candidates.empty())
-    Reject("no topic of type ", boost::join(kPoseTypes, " or "), " in ", bags.Contents(),
-           TfHint(bags));
-  if (candidates.size() > 1)
-    Reject("several pose topics: ", Describe(candidates), "; choose with pose_topic");
-  return candidates[0];
 }
 
 // --- Samples ---
@@ -305,40 +283,53 @@ struct PoseReader {
   }
 };
 
-/// The poses of a reader that has frames of tf. Without any it has none of these afterwards when it
-/// may lack them.
-void ReadTf(const Bags& bags, bool record_time, bool may_lack, PoseReader* reader) {
-  const auto [parent, child] = *reader->tf;
-  Stream<PoseSample>& poses = reader->poses;
+/// The poses of a reader that has frames of tf. A sensor that lacks them, as it may, has no frames
+/// afterwards.
+void ReadTf(const Bags& bags, const RecordingRequest& request, PoseReader* reader) {
+  const std::string parent = reader->tf->first, child = reader->tf->second;
   TfChain chain(parent, child, bags.duration_s());
-  bags.ForEachTf([&](const BagMessage& message, bool fixed) {
-    const auto msg = message.instantiate<tf2_msgs::TFMessage>();
-    if (record_time)
-      for (auto& transform : msg->transforms) transform.header.stamp = message.time;
-    chain.Add(*msg, fixed);
-    for (const PoseSample& pose : chain.TakePoses()) poses.Add(message, pose, false);
+  AddTf(bags, request.record_time, &chain, [&](const BagMessage& message, const PoseSample& pose) {
+    reader->Add(message, {pose, parent, child}, false);
   });
-  reader->first.world_frame = parent;
-  reader->first.marker_frame = child;
-  if (!poses.samples.empty()) return;
-  if (may_lack) return reader->tf.reset();
-  try {
-    chain.Check();
-    Reject("at no stamp are all links between tf_parent '", parent, "' and tf_child '", child,
-           "' known");
-  } catch (const InputError& error) {
-    if (reader->field == "pose_topic") throw;
-    Reject(reader->field, " '", reader->Name(), "': ", error.what());
-  }
+  if (!reader->poses.samples.empty()) return;
+  const bool is_marker = reader->field == "pose_topic";
+  if (request.may_lack_sensors && !is_marker) return reader->tf.reset();
+  std::string problem = chain.Problem();
+  if (problem.empty())
+    problem = "at no stamp are all links between tf_parent '" + parent + "' and tf_child '" +
+              child + "' known";
+  Reject((is_marker ? "" : reader->field + " '" + reader->Name() + "': "), problem);
 }
 
-PoseReader ChooseMarker(const Bags& bags, const RecordingRequest& request,
-                        const std::optional<TfFrames>& tf) {
+/// The marker's: of the topic or the frames of tf that are named, of the only topic that may be it
+/// or, where there is none, of the only two frames of tf. In a file it is nameless.
+PoseReader ChooseMarker(const Bags& bags, const RecordingRequest& request) {
   PoseReader marker;
   marker.field = "pose_topic";
-  marker.tf = tf;
-  if (tf || request.NamesPoseFile()) return marker;
-  marker.topic = ChoosePose(bags, request);
+  if (IsPair({"pose_topic", request.pose_topic}, {"tf_parent", request.tf_parent},
+             {"tf_child", request.tf_child})) {
+    if (!request.body.empty()) Reject("body '", request.body, "' does not go with poses from tf");
+    marker.tf = TfFrames(FrameName(request.tf_parent, ""), FrameName(request.tf_child, ""));
+    return marker;
+  }
+  if (request.NamesPoseFile()) return marker;
+  if (!request.pose_topic.empty()) {
+    marker.topic = NamedPose(bags, marker.field, request.pose_topic);
+  } else {
+    const std::vector<BagTopic> candidates =
+        bags.Select([&](const BagTopic& t) { return MayBeMarker(request, t); });
+    if (candidates.size() > 1)
+      Reject("several pose topics: ", Describe(candidates), "; choose with pose_topic");
+    if (candidates.empty()) {
+      if (request.body.empty()) marker.tf = ReadLinks(bags).SinglePair();
+      for (const std::string& name : SplitPaths(request.pose_sensors))
+        if (SplitTf(name) == marker.tf) marker.tf.reset();
+      if (marker.tf) return marker;
+      Reject("no topic of type ", boost::join(kPoseTypes, " or "), " in ", bags.Contents(),
+             TfHint(bags));
+    }
+    marker.topic = candidates[0];
+  }
   marker.body = ChooseBody(bags, marker.field, marker.topic, request.body, "body");
   return marker;
 }
@@ -363,12 +354,11 @@ Recording Read(const RecordingRequest& request) {
   const bool is_whole = request.NamesPoseFile() || request.NamesImuFile();
   const Bags bags(request.paths, is_whole ? 0.0 : request.start_s,
                   is_whole ? 0.0 : request.duration_s);
-  const std::optional<TfFrames> tf = ChooseTf(bags, request);
   Recording recording;
   RecordingInfo& info = recording.info;
   SessionData& data = recording.data;
   info.bag = boost::join(request.paths, " ");
-  info.notes = bags.Notes();
+  info.notes = bags.notes();
   // Nameless topics are not read: of an IMU that is missing, of poses from elsewhere.
   info.imus = request.NamesImuFile() ? std::vector<ImuInfo>() : ChooseImus(bags, request);
   data.imus.resize(info.imus.size());
@@ -377,7 +367,7 @@ Recording Read(const RecordingRequest& request) {
   std::vector<PoseReader> poses;  // the marker first, chosen among what is no pose sensor
   for (const std::string& name : SplitPaths(request.pose_sensors))
     poses.push_back(ChoosePoseSensor(bags, request, name));
-  poses.insert(poses.begin(), ChooseMarker(bags, request, tf));
+  poses.insert(poses.begin(), ChooseMarker(bags, request));
   std::set<std::string> topics;
   std::vector<std::string> names;
   for (const PoseReader& reader : poses) {
@@ -396,8 +386,7 @@ Recording Read(const RecordingRequest& request) {
 
   for (size_t i = 0; i < imus.size(); ++i) imus[i].Finish(&data.imus[i]);
   for (PoseReader& reader : poses)
-    if (reader.tf)
-      ReadTf(bags, request.record_time, request.may_lack_sensors && &reader != &poses[0], &reader);
+    if (reader.tf) ReadTf(bags, request, &reader);
   poses[0].Finish(request.record_time, &info, &data.poses);
   for (size_t k = 1; k < poses.size(); ++k)
     poses[k].Finish(&info.pose_sensors.emplace_back(), &data.pose_sensors.emplace_back());
@@ -412,7 +401,7 @@ constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
 /// When a bag was recorded and what it holds of poses and IMUs.
 struct BagSpan {
   double begin_s, end_s;
-  std::vector<std::string> topics;
+  std::set<std::string> topics;
   size_t recording = 0;  ///< which it is of
 
   explicit BagSpan(const std::string& path) {
@@ -420,7 +409,7 @@ struct BagSpan {
     begin_s = bag.begin_s();
     end_s = begin_s + bag.duration_s();
     for (const BagTopic& topic : bag.topics())
-      if (topic.IsImu() || topic.IsVector() || topic.IsPose()) topics.push_back(topic.name);
+      if (topic.IsImu() || topic.IsVector() || topic.IsPose()) topics.insert(topic.name);
   }
 
   /// Whether both are of one recording: one goes on where the other ends, or they hold other topics
@@ -428,10 +417,9 @@ struct BagSpan {
   bool Continues(const BagSpan& other) const {
     const double pause = std::max(begin_s, other.begin_s) - std::min(end_s, other.end_s);
     if (pause > kMaxPause) return false;
-    const auto is_shared = [&](const std::string& topic) {
-      return std::count(other.topics.begin(), other.topics.end(), topic) > 0;
-    };
-    return pause > -kMaxOverlap || std::none_of(topics.begin(), topics.end(), is_shared);
+    return pause > -kMaxOverlap ||
+           std::none_of(topics.begin(), topics.end(),
+                        [&](const std::string& topic) { return other.topics.count(topic) > 0; });
   }
 };
 

@@ -27,7 +27,7 @@ void BagMessage::Read(const std::function<void(MessageInput*)>& read) const {
   try {
     const bool is_cdr = md5sum == nullptr;
     std::string unfolded;
-    const bool is_compressed = is_cdr && IsZstd(data);  // CDR begins with 0
+    const bool is_compressed = is_cdr && boost::starts_with(data, kZstdMagic);  // CDR begins with 0
     if (is_compressed) unfolded = DecompressZstd(data, kMaxBlockSize);
     MessageInput input(is_compressed ? unfolded : data, is_cdr);
     read(&input);
@@ -45,7 +45,6 @@ bool BagTopic::IsBodies() const { return type == kRigidBodies || type == kNamedP
 std::vector<FramedPose> ReadBodies(const BagMessage& message) {
   const bool has_markers = message.type == kRigidBodies;
   std::vector<FramedPose> bodies;
-  if (message.md5sum) return bodies;  // there are none of ROS 1
   message.Read([&](MessageInput* input) {
     const auto header = Next<std_msgs::Header>(input);
     if (has_markers) Next<uint32_t>(input);  // frame
@@ -75,29 +74,32 @@ std::string Describe(const std::vector<BagTopic>& topics) {
 Bags::Bags(const std::vector<std::string>& paths, double start_s, double duration_s)
     : paths_(paths) {
   CheckBagsExist(paths_);
-  const auto ros2 = std::count_if(paths_.begin(), paths_.end(), IsRos2Bag);
-  if (ros2 != 0 && ros2 != static_cast<int64_t>(paths_.size()))
-    Reject("bags of ROS 1 and of ROS 2 cannot be one recording: ", FileNames(paths_));
   for (const std::string& path : paths_) {
-    if (ros2 == 0)
-      files_.push_back(OpenRos1(path));
-    else
-      for (const std::string& file : MessageFiles(path)) files_.push_back(OpenRos2(file));
+    const std::vector<std::string> files = MessageFiles(path);
+    if (files.empty()) Reject("bag '", path, "' is not a file, and no file of a bag is in it");
+    for (const std::string& file : files) files_.push_back(OpenBagFile(file));
   }
-  for (const auto& file : files_)
+  for (const auto& file : files_) {
     for (const BagFile::Entry& entry : file->entries()) index_.push_back({entry, file.get()});
+    if (!file->note().empty()) notes_.push_back(file->note());
+  }
   std::stable_sort(index_.begin(), index_.end(),
                    [](const Place& a, const Place& b) { return a.entry.t_ns < b.entry.t_ns; });
   SetSpan(start_s, duration_s);
   std::map<std::string, std::set<std::string>> types;
+  std::set<bool> kinds;  // of ROS: 1 has a sum of each definition
   for (const auto& file : files_)
-    for (const BagFile::Topic& topic : file->topics()) types[topic.name].insert(topic.type);
+    for (const BagFile::Topic& topic : file->topics()) {
+      types[topic.name].insert(topic.type);
+      kinds.insert(topic.md5sum.has_value());
+    }
+  if (kinds.size() > 1)
+    Reject("bags of ROS 1 and of ROS 2 cannot be one recording: ", FileNames(paths_));
   std::map<std::string, uint32_t> counts;
   for (const Place& place : index_)
     if (IsUsed(place)) ++counts[place.file->topics()[place.entry.topic].name];
   for (const auto& [name, its] : types)  // more than one type fits no role
-    topics_.push_back(
-        {name, *its.begin() + (its.size() > 1 ? " and " + *its.rbegin() : ""), counts[name]});
+    topics_.push_back({name, boost::join(its, " and "), counts[name]});
 }
 
 const BagTopic& Bags::Find(const std::string& field, const std::string& name,
@@ -121,27 +123,6 @@ std::vector<BagTopic> Bags::Select(const std::function<bool(const BagTopic&)>& i
 }
 
 std::string Bags::Contents() const { return FileNames(paths_) + "; it has: " + Describe(topics_); }
-
-std::vector<std::string> Bags::Notes() const {
-  std::vector<std::string> notes;
-  for (const auto& file : files_)
-    if (!file->note().empty()) notes.push_back(file->note());
-  return notes;
-}
-
-void Bags::ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const {
-  for (const bool fixed : {true, false}) {
-    std::set<std::string> names;
-    for (const BagTopic& topic : topics_)
-      if (topic.IsTf() && boost::ends_with(topic.name, "tf_static") == fixed)
-        names.insert(topic.name);
-    const auto use_all = [&](const BagMessage& message) {
-      use(message, fixed);
-      return true;
-    };
-    ForEach(names, use_all, fixed);
-  }
-}
 
 void Bags::ForEach(const std::set<std::string>& topics,
                    const std::function<bool(const BagMessage&)>& use, bool all) const {

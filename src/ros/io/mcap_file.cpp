@@ -15,7 +15,6 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
 constexpr size_t kRecordHeader = 9;  // opcode, length
 
 enum Opcode : uint8_t {
@@ -65,7 +64,7 @@ class McapFile : public RecordFile {
  public:
   McapFile(std::unique_ptr<InputFile> input, const std::string& name)
       : RecordFile(std::move(input)) {
-    ByteReader left = From(kMagic.size());
+    ByteReader left = From(kMcapMagic.size());
     for (uint64_t begin = left.at(); auto record = Next(&left); begin = left.at()) {
       try {
         if (record->opcode == kFooter) return;
@@ -171,7 +170,7 @@ class McapStorage : public Ros2Storage {
  public:
   explicit McapStorage(const std::string& path)
       : path_(path), file_(path, std::ios::binary | std::ios::trunc) {
-    Put(kMagic);
+    Put(kMcapMagic);
     Put(PackRecord(kHeader, Pack(std::string("ros2"), std::string("imu_pose_calib"))));
   }
 
@@ -215,7 +214,7 @@ class McapStorage : public Ros2Storage {
                                      chunks_, begin_, end_, counts)));
     Put(chunk_indexes_);
     Put(PackRecord(kFooter, Pack(summary, no_offsets, no_checksum)));
-    Put(kMagic);
+    Put(kMcapMagic);
     file_.close();
     CheckFile();
   }
@@ -267,8 +266,6 @@ class McapStorage : public Ros2Storage {
 };
 
 }  // namespace
-
-bool IsMcap(std::string_view bytes) { return bytes.substr(0, kMagic.size()) == kMagic; }
 
 std::unique_ptr<BagFile> OpenMcap(std::unique_ptr<InputFile> input, const std::string& name) {
   return std::make_unique<McapFile>(std::move(input), name);

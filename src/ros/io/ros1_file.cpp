@@ -1,9 +1,5 @@
 // The format: http://wiki.ros.org/Bags/Format/2.0. All numbers are little endian.
 
-#include <cerrno>
-#include <cstring>
-#include <filesystem>
-#include <fstream>
 #include <map>
 
 #include "imu_pose_calib/ros/io/bag_file.h"
@@ -12,8 +8,8 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr std::string_view kMagic = "#ROSBAG V", kFormat = "2.0";
-constexpr size_t kMagicSize = kMagic.size() + kFormat.size() + 1;  // with the end of the line
+constexpr std::string_view kFormat = "2.0";
+constexpr size_t kBegin = kRos1Magic.size() + kFormat.size() + 1;  // of records, after the line
 /// What the operation codes of records say that they are.
 constexpr char kMessage = 0x02, kIndex = 0x04, kChunk = 0x05, kConnection = 0x07;
 
@@ -64,28 +60,33 @@ struct Record {
 /// else they are no record at all.
 bool IsCutOff(ByteReader rest) {
   constexpr uint32_t kLargestHeader = 1 << 16;
-  const auto is_short = [&](uint64_t size) { return rest.size() < size; };
-  if (is_short(sizeof(uint32_t))) return true;
+  if (rest.size() < sizeof(uint32_t)) return true;
   const auto size = rest.Number<uint32_t>();
   if (size == 0) return IsZero(rest);  // never written
-  if (size > kLargestHeader) return false;
-  if (is_short(size)) return true;
+  if (size > kLargestHeader || size > rest.size()) return size <= kLargestHeader;
   try {
     if (ReadFields(rest.Skip(size)).count("op") == 0) return false;
   } catch (const InputError&) {
     return false;
   }
-  if (is_short(sizeof(uint32_t))) return true;
+  if (rest.size() < sizeof(uint32_t)) return true;
   const auto data = rest.Number<uint32_t>();
-  return data <= kMaxBlockSize && is_short(data);
+  return data <= kMaxBlockSize && data > rest.size();
 }
 
 class Ros1File : public RecordFile {
  public:
   Ros1File(std::unique_ptr<InputFile> input, const std::string& path)
       : RecordFile(std::move(input)), path_(path), remedy_("; run: rosbag reindex " + path) {
+    ByteReader rest = From(kBegin);  // from the end of the last record that is whole
     try {
-      if (ReadIndexed()) return;
+      ByteReader first = rest;
+      const auto index_at = Record(&first).Number<uint64_t>("index_pos");
+      From(0).Skip(index_at);  // is there
+      if (index_at > 0) {
+        ReadRecords(true, &rest);
+        return;
+      }
       problem_ = "bag '" + path_ + "' has no index, its recording was cut off" + remedy_;
     } catch (const InputError& error) {
       problem_ = "bag '" + path_ + "' is damaged or cut off (" + error.what() + ")" + remedy_;
@@ -93,7 +94,15 @@ class Ros1File : public RecordFile {
     topics_.clear();
     entries_.clear();
     connections_.clear();
-    Scan();
+    rest = From(kBegin);
+    try {
+      ReadRecords(false, &rest);
+    } catch (const InputError&) {
+      if (!IsCutOff(rest)) Reject(problem_);
+    }
+    note_ = "'" + path_ + "' has no index: all of it is read, " + std::to_string(entries_.size()) +
+            " messages";
+    if (rest.size() > 0) NoteCutOff(path_, rest.at());
   }
 
   std::string_view Read(const Entry& entry) override {
@@ -110,47 +119,31 @@ class Ros1File : public RecordFile {
   }
 
  private:
-  /// By the connections at the end and the index after each chunk, of which none is unfolded. False
-  /// when the recorder has not come to write them.
-  bool ReadIndexed() {
-    ByteReader first = From(kMagicSize);
-    const auto end = Record(&first).Number<uint64_t>("index_pos");
-    if (end == 0) return false;
-    ByteReader last = From(0);
-    for (last.Skip(end); last.size() > 0;)
-      if (Record record(&last); record.kind == kConnection) ReadConnection(record);
+  /// By the index after each chunk, of which none is unfolded, and the connections at the end;
+  /// without a usable index by what the chunks hold, as far as they are whole.
+  void ReadRecords(bool is_indexed, ByteReader* rest) {
     uint32_t chunk = 0;
-    for (ByteReader reader = From(kMagicSize).Skip(end - kMagicSize); reader.size() > 0;) {
+    for (ByteReader reader = *rest; reader.size() > 0; *rest = reader) {
       Record record(&reader);
-      if (record.kind == kChunk) chunk = ReadChunk(record);
-      if (record.kind != kIndex) continue;
-      if (chunk == 0) Reject("an index is of no chunk");
-      const uint32_t topic = TopicOf(record);
-      for (ByteReader index = record.data; index.size() > 0;) {
-        const int64_t t_ns = ReadTime(index.Skip(kTimeSize));
-        entries_.push_back({t_ns, topic, chunk, index.Number<uint32_t>(), 0});
-      }
+      if (record.kind == kConnection) ReadConnection(record);
+      if (record.kind == kIndex && is_indexed) ReadIndex(record, chunk);
+      if (record.kind != kChunk) continue;
+      if (!is_indexed && record.data.size() == 0) return;  // still written, without size
+      chunk = ReadChunk(record);
+      if (!is_indexed) ScanChunk(chunk);
     }
-    return true;
+    if (is_indexed)
+      for (Entry& entry : entries_) entry.topic = TopicOf(entry.topic);
   }
 
-  /// Without a usable index: chunk after chunk, as far as they are whole.
-  void Scan() {
-    ByteReader reader = From(kMagicSize);
-    ByteReader rest = reader;  // from the end of the last record that is whole
-    try {
-      while (rest.size() > 0) {
-        Record record(&reader);
-        if (record.kind == kChunk && record.data.size() == 0) break;  // still written, without size
-        if (record.kind == kChunk) ScanChunk(ReadChunk(record));
-        rest = reader;
-      }
-    } catch (const InputError&) {
-      if (!IsCutOff(rest)) Reject(problem_);
+  /// Of messages whose topic is the number of a connection, which comes later.
+  void ReadIndex(Record& record, uint32_t chunk) {
+    if (chunk == 0) Reject("an index is of no chunk");
+    const auto connection = record.Number("conn");
+    for (ByteReader index = record.data; index.size() > 0;) {
+      const int64_t t_ns = ReadTime(index.Skip(kTimeSize));
+      entries_.push_back({t_ns, connection, chunk, index.Number<uint32_t>(), 0});
     }
-    if (rest.size() > 0) return NoteCutOff(path_, rest.at());
-    note_ = "'" + path_ + "' has no index: all of it is read, " + std::to_string(entries_.size()) +
-            " messages";
   }
 
   void ScanChunk(uint32_t chunk) {
@@ -160,7 +153,7 @@ class Ros1File : public RecordFile {
       if (record.kind == kConnection) ReadConnection(record);
       if (record.kind != kMessage) continue;
       const int64_t t_ns = ReadTime(ByteReader(record.fields["time"]));
-      entries_.push_back({t_ns, TopicOf(record), chunk, at, 0});
+      entries_.push_back({t_ns, TopicOf(record.Number("conn")), chunk, at, 0});
     }
   }
 
@@ -178,8 +171,8 @@ class Ros1File : public RecordFile {
     topics_.push_back({record.fields["topic"], about["type"], about["md5sum"]});
   }
 
-  uint32_t TopicOf(Record& record) const {
-    const auto topic = connections_.find(record.Number("conn"));
+  uint32_t TopicOf(uint32_t connection) const {
+    const auto topic = connections_.find(connection);
     if (topic == connections_.end()) Reject("a message is of no connection");
     return topic->second;
   }
@@ -190,16 +183,10 @@ class Ros1File : public RecordFile {
 
 }  // namespace
 
-std::unique_ptr<BagFile> OpenRos1(const std::string& path) {
-  if (!std::filesystem::is_regular_file(path)) Reject("bag '", path, "' is not a file");
-  if (!std::ifstream(path)) Reject("bag '", path, "' cannot be read: ", std::strerror(errno));
-  auto input = std::make_unique<InputFile>(path);
-  const std::string start = input->Start().substr(0, kMagicSize - 1);
-  if (start.compare(0, kMagic.size(), kMagic) != 0)
-    Reject("'", path, "' is not a ROS 1 bag, nor an .mcap or .db3 of ROS 2");
-  const std::string version = start.substr(kMagic.size());
-  if (version != kFormat) Reject("bag '", path, "' is of version ", version, ", must be 2.0");
-  return std::make_unique<Ros1File>(std::move(input), path);
+std::unique_ptr<BagFile> OpenRos1(std::unique_ptr<InputFile> input, const std::string& name) {
+  const std::string version = input->Start().substr(kRos1Magic.size(), kFormat.size());
+  if (version != kFormat) Reject("bag '", name, "' is of version ", version, ", must be 2.0");
+  return std::make_unique<Ros1File>(std::move(input), name);
 }
 
 }  // namespace imu_pose_calib

@@ -11,8 +11,6 @@
 namespace imu_pose_calib {
 namespace {
 
-constexpr std::string_view kMagic("SQLite format 3\0", 16);
-
 struct CloseSqlite {
   void operator()(sqlite3* database) const { sqlite3_close(database); }
   void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
@@ -23,8 +21,7 @@ using Statement = std::unique_ptr<sqlite3_stmt, CloseSqlite>;
 class Database {
  public:
   /// `failure` begins the texts of errors.
-  Database(const std::string& path, int flags, const std::string& failure)
-      : failure_(failure), is_read_((flags & SQLITE_OPEN_READONLY) != 0) {
+  Database(const std::string& path, int flags, const std::string& failure) : failure_(failure) {
     sqlite3* database = nullptr;
     const int status = sqlite3_open_v2(path.c_str(), &database, flags, nullptr);
     database_.reset(database);
@@ -36,9 +33,7 @@ class Database {
   [[noreturn]] void Fail(const std::string& text) const { Reject(failure_, text); }
 
   void Check(int status) const {
-    if (status != SQLITE_OK)
-      Fail(sqlite3_errmsg(get()) +
-           (is_read_ ? " (SQLite, " + std::to_string(status) + ")" : std::string()));
+    if (status != SQLITE_OK) Reject(failure_, sqlite3_errmsg(get()), " (SQLite, ", status, ")");
   }
 
   Statement Prepare(const std::string& sql) const {
@@ -58,7 +53,6 @@ class Database {
 
  private:
   std::string failure_;
-  bool is_read_;
   std::unique_ptr<sqlite3, CloseSqlite> database_;
 };
 
@@ -85,7 +79,10 @@ class SqliteFile final : public BagFile {
                   "'" + name + "' is no bag of ROS 2, or damaged: ") {
     sqlite3_db_config(database_.get(), SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
     database_.Run("PRAGMA trusted_schema=OFF; PRAGMA cell_size_check=ON");
-    CheckTables();
+    for (const std::string table : {"topics", "messages"})  // a view could never end
+      if (!database_.Step(database_.Prepare(
+              "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '" + table + "'")))
+        database_.Fail("it has no table " + table);
     std::map<int64_t, uint32_t> ids;
     const Statement topics =
         database_.Prepare("SELECT id, name, type, serialization_format FROM topics");
@@ -127,16 +124,6 @@ class SqliteFile final : public BagFile {
     if (sqlite3_column_type(statement.get(), column) != SQLITE_INTEGER)
       database_.Fail("a topic or a message has no number or time");
     return sqlite3_column_int64(statement.get(), column);
-  }
-
-  /// A view could be a program that does not end.
-  void CheckTables() const {
-    for (const std::string table : {"topics", "messages"}) {
-      const Statement type =
-          database_.Prepare("SELECT type FROM sqlite_master WHERE name = '" + table + "'");
-      if (!database_.Step(type) || Text(type, 0) != "table")
-        database_.Fail("it has no table " + table);
-    }
   }
 
   Database database_;
@@ -193,8 +180,6 @@ class SqliteStorage final : public Ros2Storage {
 };
 
 }  // namespace
-
-bool IsSqlite(std::string_view bytes) { return bytes.substr(0, kMagic.size()) == kMagic; }
 
 std::unique_ptr<BagFile> OpenSqlite(const std::string& path, const std::string& name) {
   return std::make_unique<SqliteFile>(path, name);

@@ -62,9 +62,9 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
   auto& updates = link.updates;
   if (usable && !link.moves && transform.transform != link.first_transform) {
     link.moves = true;
-    if (link.first > last_taken_) updates.emplace(link.first, true);
+    if (link.first > last_taken_) updates.emplace(link.first, false);
   }
-  if (link.moves || !usable) updates.emplace(stamp, true).first->second &= usable;
+  if (link.moves || !usable) updates[stamp] |= !usable;
   if (usable) {
     link.first = std::min(link.first, stamp);
     link.last = std::max(link.last, stamp);
@@ -84,23 +84,23 @@ std::vector<PoseSample> TfChain::TakePoses() {
     end = std::min(end, links_[frame].last);
   }
 
-  std::map<int64_t, bool> due;  // stamp; whether all of its updates are usable
+  std::map<int64_t, bool> due;  // stamp; whether one of its updates is unusable
   for (const std::string& frame : *chain) {
     auto& updates = links_[frame].updates;
     const auto waiting = updates.upper_bound(end);
     for (auto update = updates.begin(); update != waiting; ++update)
-      due.emplace(update->first, true).first->second &= update->second;
+      due[update->first] |= update->second;
     updates.erase(updates.begin(), waiting);
   }
 
   std::vector<PoseSample> poses;
-  for (const auto& [stamp, usable] : due) {
+  for (const auto& [stamp, is_lost] : due) {
     if (stamp < begin) continue;
     last_taken_ = std::max(last_taken_, stamp);
     PoseSample& pose = poses.emplace_back();
     pose.t_ns = stamp;
     pose.p_WM.setConstant(std::numeric_limits<double>::quiet_NaN());
-    if (!usable) continue;
+    if (is_lost) continue;
     try {
       const ros::Time time = FromNanoseconds(stamp);
       pose = ToPoseSample(time, buffer_->lookupTransform(parent_, child_, time).transform);
@@ -138,29 +138,28 @@ std::optional<std::vector<std::string>> TfChain::Chain() const {
   return up;
 }
 
-void TfChain::Check() const {
+std::string TfChain::Problem() const {
   const auto is_known = [&](const std::string& frame) {
     return std::any_of(links_.begin(), links_.end(), [&](const auto& link) {
       return link.first == frame || link.second.parent == frame;
     });
   };
-  for (const auto& [field, frame] :
-       {std::pair<std::string, std::string>("tf_parent", parent_), {"tf_child", child_}})
-    if (!is_known(frame)) Reject(field, " '", frame, "' is not in tf, which has: ", Links());
+  if (!is_known(parent_)) return "tf_parent '" + parent_ + "' is not in tf, which has: " + Links();
+  if (!is_known(child_)) return "tf_child '" + child_ + "' is not in tf, which has: " + Links();
   const std::string pair = "tf_parent '" + parent_ + "' and tf_child '" + child_ + "'";
   const auto chain = Chain();
-  if (!chain) Reject(pair, " are not connected in tf, which has: ", Links());
+  if (!chain) return pair + " are not connected in tf, which has: " + Links();
   if (chain->empty())
-    Reject(pair, " are fixed to each other: every link between them is static; choose ",
-           "frames that move, tf has: ", Links());
+    return pair + " are fixed to each other: every link between them is static; choose " +
+           "frames that move, tf has: " + Links();
   for (const std::string& frame : *chain)
     if (links_.at(frame).last == 0)
-      Reject("'", Printable(frame), "', which is between ", pair,
+      return "'" + Printable(frame) + "', which is between " + pair +
              ", has no usable transform: stamp 0, not finite, or a quaternion that is not of unit "
-             "length");
-  if (std::none_of(chain->begin(), chain->end(),
-                   [&](const std::string& frame) { return links_.at(frame).moves; }))
-    Reject(pair, " do not move against each other");
+             "length";
+  const bool moves = std::any_of(chain->begin(), chain->end(),
+                                 [&](const std::string& frame) { return links_.at(frame).moves; });
+  return moves ? "" : pair + " do not move against each other";
 }
 
 std::optional<std::pair<std::string, std::string>> TfChain::SinglePair() const {

@@ -51,12 +51,8 @@ std::string ShortNames(std::vector<std::string> types) {
 
 /// Why no poses come from tf.
 std::string LookAt(const TfChain& chain) {
-  try {
-    chain.Check();
-    return "/tf: the frames are connected, but no pose has come in yet";
-  } catch (const InputError& error) {
-    return error.what();
-  }
+  const std::string problem = chain.Problem();
+  return problem.empty() ? "/tf: the frames are connected, but no pose has come in yet" : problem;
 }
 
 /// The full names of the pose sensors.

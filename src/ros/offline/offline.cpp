@@ -69,7 +69,7 @@ std::vector<OfflineRequest> SplitSessions(const OfflineRequest& given) {
   if (paths.empty() && !NamesFiles(given))
     Reject("no recording is given: a bag, a folder, or the files poses and imu");
   const bool is_text = std::all_of(paths.begin(), paths.end(), [](const std::string& path) {
-    return IsFolder(path) && !IsRos2Bag(path);
+    return IsFolder(path) && MessageFiles(path).empty();
   });
   const bool is_mixed = !is_text && NamesFiles(given);
   std::vector<std::vector<std::string>> groups = {paths};

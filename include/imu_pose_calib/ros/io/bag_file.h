@@ -159,22 +159,23 @@ class RecordFile : public BagFile {
   size_t next_slot_ = 0;
 };
 
-/// A bag of ROS 1, version 2.0. What is cut off, or has no index, is read as far as it is whole,
-/// and `note()` says so. Throws InputError with the reason and the remedy.
-std::unique_ptr<BagFile> OpenRos1(const std::string& path);
+/// The first bytes of files, and of what zstd has compressed.
+constexpr std::string_view kRos1Magic = "#ROSBAG V";
+constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
+constexpr std::string_view kSqliteMagic("SQLite format 3\0", 16);
+constexpr std::string_view kZstdMagic = "\x28\xb5\x2f\xfd";
 
-/// A file of a bag of ROS 2, by its first bytes: mcap or a database of SQLite (.db3), whole or
+/// A file of a bag, by its first bytes: of ROS 1, mcap or a database of SQLite (.db3), whole or
 /// compressed by zstd. Throws InputError naming the file.
-std::unique_ptr<BagFile> OpenRos2(const std::string& path);
-
-/// Whether these are the first bytes of an mcap file, of a database of SQLite, or of a zstd frame.
-bool IsMcap(std::string_view bytes);
-bool IsSqlite(std::string_view bytes);
-bool IsZstd(std::string_view bytes);
+std::unique_ptr<BagFile> OpenBagFile(const std::string& path);
 
 /// The contents of zstd frames. Memory is taken as they unfold, up to `max_size`. Throws InputError
 /// with the reason, without a name.
 std::string DecompressZstd(std::string_view bytes, uint64_t max_size);
+
+/// A bag of ROS 1, version 2.0. What is cut off, or has no index, is read as far as it is whole,
+/// and `note()` says so. Throws InputError with `name`, the reason and the remedy.
+std::unique_ptr<BagFile> OpenRos1(std::unique_ptr<InputFile> input, const std::string& name);
 
 /// An mcap file. One that is cut off is read up to there, and `note()` says so. Throws InputError
 /// with `name` and the place in the file when it is damaged otherwise.
@@ -205,12 +206,9 @@ class Ros2Storage {
 std::unique_ptr<Ros2Storage> CreateMcap(const std::string& path);
 std::unique_ptr<Ros2Storage> CreateSqlite(const std::string& path);
 
-/// Whether there is a bag of ROS 2 at `path`: an .mcap or .db3 file, whole or compressed by zstd,
-/// or a folder that holds one or a metadata.yaml.
-bool IsRos2Bag(const std::string& path);
-
 /// The files that hold the messages of a bag: itself or, of a folder, what its metadata.yaml names
-/// or, without one, all that there are. Throws InputError when that names what is not there.
+/// or, without one, all files of ROS 2 in it; none when it is no bag. Throws InputError when that
+/// names what is not there.
 std::vector<std::string> MessageFiles(const std::string& path);
 
 /// The bag's path without the ending that files of its kind have.

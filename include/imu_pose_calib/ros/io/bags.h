@@ -68,6 +68,8 @@ class Bags {
   Bags(const std::vector<std::string>& paths, double start_s, double duration_s);
 
   const std::vector<BagTopic>& topics() const { return topics_; }
+  /// What is to be said of the bags, as that one is cut off.
+  const std::vector<std::string>& notes() const { return notes_; }
   double begin_s() const { return Seconds(begin_ns_); }  ///< first record time
   double duration_s() const { return Seconds(end_ns_ - begin_ns_); }
 
@@ -75,10 +77,6 @@ class Bags {
   /// true; `all`: also for those outside of the span.
   void ForEach(const std::set<std::string>& topics,
                const std::function<bool(const BagMessage&)>& use, bool all = false) const;
-
-  /// Calls `use(message, fixed)` for the tf messages: first all fixed ones of the whole bags, which
-  /// are sent once, then the others in the order of recording.
-  void ForEachTf(const std::function<void(const BagMessage&, bool)>& use) const;
 
   /// The topic that `field` of a request names; InputError when the bags do not have it, or when it
   /// is of none of these types, if any are given.
@@ -90,9 +88,6 @@ class Bags {
 
   /// "NAMES; it has: TOPICS" for error messages.
   std::string Contents() const;
-
-  /// What is to be said of the bags, as that one is cut off.
-  std::vector<std::string> Notes() const;
 
  private:
   struct Place {
@@ -111,6 +106,7 @@ class Bags {
   /// Record time of the first message, and of the span to use.
   int64_t begin_ns_ = 0, start_ns_ = 0, end_ns_ = 0;
   std::vector<BagTopic> topics_;
+  std::vector<std::string> notes_;
 };
 
 }  // namespace imu_pose_calib

@@ -37,9 +37,9 @@ class TfChain {
   /// How many updates have been kept for poses that are not known yet.
   size_t Pending() const;
 
-  /// Throws InputError naming the frames when the links seen so far cannot give poses: a frame is
-  /// missing, the two are not connected, or nothing between them moves.
-  void Check() const;
+  /// Why the links seen so far cannot give poses, naming the frames: one is missing, the two are
+  /// not connected, or nothing between them moves. Empty: they can.
+  std::string Problem() const;
 
   /// All links seen so far, printable: "world -> base, base -> tool (fixed)".
   std::string Links() const;
@@ -54,8 +54,8 @@ class TfChain {
     bool moves = false;           ///< has changed
     int64_t first = 0, last = 0;  ///< [ns] stamps of usable updates; 0: none
     geometry_msgs::Transform first_transform;
-    /// Stamps [ns] of updates that call for a pose and have not been taken; whether all of this
-    /// stamp are usable.
+    /// Stamps [ns] of updates that call for a pose and have not been taken; whether one of this
+    /// stamp is unusable.
     std::map<int64_t, bool> updates;
   };
 
