@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <fstream>
 #include <numeric>
@@ -87,6 +88,33 @@ YAML::Node ParseYaml(const std::string& text) {
   } catch (const YAML::Exception& error) {
     FailAt(error.mark, error.msg);
   }
+}
+
+void ReadYaml(const std::string& what, const YAML::Node& node, double* value) {
+  if (!node || !node.IsScalar() || !YAML::convert<double>::decode(node, *value) ||
+      !std::isfinite(*value))
+    Reject(what, " must hold finite numbers");
+}
+
+void ReadYaml(const std::string& what, const YAML::Node& node, size_t* value) {
+  if (!node || !node.IsScalar() || !YAML::convert<size_t>::decode(node, *value))
+    Reject(what, " must be a whole number");
+}
+
+void ReadYaml(const std::string& what, const YAML::Node& node, std::string* value) {
+  if (!node || !node.IsScalar()) Reject(what, " must be a string");
+  *value = node.Scalar();
+}
+
+void ReadYaml(const std::string& what, const YAML::Node& node, Eigen::Quaterniond* value) {
+  ReadYaml(what, node, &value->coeffs());
+  *value = UnitQuaternion(what, value->coeffs());
+}
+
+Eigen::Quaterniond UnitQuaternion(const std::string& what, const Eigen::Vector4d& xyzw) {
+  if (std::abs(xyzw.norm() - 1.0) > 0.01)
+    Reject(what, " must be a unit quaternion x, y, z, w; its norm is ", xyzw.norm());
+  return Eigen::Quaterniond(xyzw).normalized();
 }
 
 std::string DidYouMean(const std::string& name, const std::vector<std::string>& names) {
