@@ -14,61 +14,66 @@
 namespace imu_pose_calib {
 namespace {
 
-/// The value of a key is not of the type of its field.
-struct TypeError {
-  std::string expected;
-};
+// Read the value of a key, which errors call `what`.
+
+[[noreturn]] void Refuse(const std::string& what, const YAML::Node& node, const char* expected) {
+  Reject(what, " must be ", expected, ", not ", (node.IsNull() ? "nothing" : YAML::Dump(node)));
+}
 
 template <typename T>
-T ReadScalar(const YAML::Node& node, const char* expected) {
+T ReadScalar(const std::string& what, const YAML::Node& node, const char* expected) {
   T value{};
-  if (!node.IsScalar() || !YAML::convert<T>::decode(node, value)) throw TypeError{expected};
+  if (!node.IsScalar() || !YAML::convert<T>::decode(node, value)) Refuse(what, node, expected);
   return value;
 }
 
+/// The value of that name; `known` are all names.
 template <typename Enum>
-Enum ReadName(const YAML::Node& node, std::initializer_list<Enum> values, const char* expected) {
-  const auto name = ReadScalar<std::string>(node, "a string");
+Enum ParseName(const std::string& what, const std::string& name, std::initializer_list<Enum> values,
+               const char* known) {
   for (const Enum value : values)
     if (name == ToString(value)) return value;
-  throw TypeError{expected};
+  Reject(what, " '", name, "' does not exist; available: ", known);
 }
 
-Eigen::VectorXd ReadNumbers(const YAML::Node& node, size_t count, const char* expected) {
-  if (!node.IsSequence() || node.size() != count) throw TypeError{expected};
-  Eigen::VectorXd values(static_cast<Eigen::Index>(count));
-  for (size_t i = 0; i < count; ++i)
-    values[static_cast<Eigen::Index>(i)] = ReadScalar<double>(node[i], expected);
-  return values;
+void Read(const std::string& what, const YAML::Node& node, double* field) {
+  *field = ReadScalar<double>(what, node, "a number");
 }
-
-void Read(const YAML::Node& node, double* field) { *field = ReadScalar<double>(node, "a number"); }
-void Read(const YAML::Node& node, int* field) { *field = ReadScalar<int>(node, "an integer"); }
-void Read(const YAML::Node& node, bool* field) { *field = ReadScalar<bool>(node, "true or false"); }
-void Read(const YAML::Node& node, Method* field) {
-  *field = ParseMethod(ReadScalar<std::string>(node, "a string"));
+void Read(const std::string& what, const YAML::Node& node, int* field) {
+  *field = ReadScalar<int>(what, node, "an integer");
 }
-void Read(const YAML::Node& node, SolverKind* field) {
-  *field = ParseSolver(ReadScalar<std::string>(node, "a string"));
+void Read(const std::string& what, const YAML::Node& node, bool* field) {
+  *field = ReadScalar<bool>(what, node, "true or false");
 }
-void Read(const YAML::Node& node, ImuModel* field) {
-  *field = ReadName(node, {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
-                    "calibrated or scale_misalignment");
+void Read(const std::string& what, const YAML::Node& node, Method* field) {
+  *field = ParseMethod(ReadScalar<std::string>(what, node, "a string"));
 }
-void Read(const YAML::Node& node, StampRecovery* field) {
-  *field = ReadName(node, {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
-                    "auto, always or never");
+void Read(const std::string& what, const YAML::Node& node, SolverKind* field) {
+  *field = ParseSolver(ReadScalar<std::string>(what, node, "a string"));
 }
-void Read(const YAML::Node& node, Eigen::Vector3d* field) {
-  *field = ReadNumbers(node, 3, "[x, y, z]");
+void Read(const std::string& what, const YAML::Node& node, ImuModel* field) {
+  *field = ParseName(what, ReadScalar<std::string>(what, node, "a string"),
+                     {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
+                     "calibrated, scale_misalignment");
 }
-void Read(const YAML::Node& node, Eigen::Quaterniond* field) {
-  field->coeffs() = ReadNumbers(node, 4, "[x, y, z, w]");
+void Read(const std::string& what, const YAML::Node& node, StampRecovery* field) {
+  *field = ParseName(what, ReadScalar<std::string>(what, node, "a string"),
+                     {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
+                     "auto, always or never");
+}
+template <int kSize>
+void Read(const std::string& what, const YAML::Node& node, Eigen::Matrix<double, kSize, 1>* field) {
+  const char* const expected = kSize == 3 ? "[x, y, z]" : "[x, y, z, w]";
+  if (!node.IsSequence() || node.size() != kSize) Refuse(what, node, expected);
+  for (int i = 0; i < kSize; ++i) (*field)[i] = ReadScalar<double>(what, node[i], expected);
+}
+void Read(const std::string& what, const YAML::Node& node, Eigen::Quaterniond* field) {
+  Read(what, node, &field->coeffs());
 }
 template <typename T>
-void Read(const YAML::Node& node, std::optional<T>* field) {
+void Read(const std::string& what, const YAML::Node& node, std::optional<T>* field) {
   field->reset();
-  if (!node.IsNull()) Read(node, &field->emplace());
+  if (!node.IsNull()) Read(what, node, &field->emplace());
 }
 
 std::string Text(double value) { return YamlNumber(value); }
@@ -85,17 +90,6 @@ std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
 }
 
-/// Reads the value of a key, which errors call `what`.
-template <typename T>
-void ReadValue(const std::string& what, const YAML::Node& node, T* field) {
-  try {
-    Read(node, field);
-  } catch (const TypeError& error) {
-    Reject(what, " must be ", error.expected, ", not ",
-           (node.IsNull() ? "nothing" : YAML::Dump(node)));
-  }
-}
-
 /// Sets the field called `key`.
 void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
   std::vector<std::string> others;
@@ -103,7 +97,7 @@ void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptio
   VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
     if (name == key) {
       found = true;
-      ReadValue("option " + key, value, &field);
+      Read("option " + key, value, &field);
     } else {
       others.push_back(name);
     }
@@ -149,7 +143,7 @@ YAML::Node FindImu(const YAML::Node& root) {
 double ReadNumber(const YAML::Node& imu, const std::string& key, double low, double high) {
   if (!imu[key]) Reject(key, " is missing");
   double value = 0.0;
-  ReadValue(key, imu[key], &value);
+  Read(key, imu[key], &value);
   if (!(value >= low && value <= high))
     Reject(key, " = ", YamlNumber(value), " is out of range: must be within [", YamlNumber(low),
            ", ", YamlNumber(high), "]");
@@ -167,25 +161,14 @@ constexpr NoiseKey kNoiseKeys[] = {
     {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9},
     {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12}};
 
-template <typename Enum>
-Enum ParseName(const std::string& what, const std::string& name,
-               std::initializer_list<Enum> values) {
-  std::string known;
-  for (const Enum value : values) {
-    if (name == ToString(value)) return value;
-    known += (known.empty() ? "" : ", ") + std::string(ToString(value));
-  }
-  Reject(what, " '", name, "' does not exist; available: ", known);
-}
-
 }  // namespace
 
 Method ParseMethod(const std::string& name) {
-  return ParseName("method", name, {Method::kJoint, Method::kGp});
+  return ParseName("method", name, {Method::kJoint, Method::kGp}, "joint, gp");
 }
 
 SolverKind ParseSolver(const std::string& name) {
-  return ParseName("solver", name, {SolverKind::kWindows, SolverKind::kCeres});
+  return ParseName("solver", name, {SolverKind::kWindows, SolverKind::kCeres}, "windows, ceres");
 }
 
 CalibrationOptions ParseOptions(const std::string& yaml) {
