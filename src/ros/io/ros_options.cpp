@@ -105,18 +105,6 @@ void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptio
   if (!found) Reject("there is no option '", key, "'", DidYouMean(key, others));
 }
 
-void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
-  if (map.IsNull()) return;  // empty file
-  if (!map.IsMap()) Reject("must be a map of 'option: value' lines");
-  std::set<std::string> seen;
-  for (const auto& entry : map) {
-    if (!entry.first.IsScalar()) Reject("keys must be strings");
-    const std::string key = entry.first.Scalar();
-    if (!seen.insert(key).second) Reject("option '", key, "' is given twice");
-    ReadField(key, entry.second, options);
-  }
-}
-
 // --- Noise of an IMU ---
 
 // Keys of Kalibr's imu.yaml and of its result, and of EuRoC's sensor.yaml.
@@ -140,26 +128,18 @@ YAML::Node FindImu(const YAML::Node& root) {
   return imu;
 }
 
-double ReadNumber(const YAML::Node& imu, const std::string& key, double low, double high) {
-  if (!imu[key]) Reject(key, " is missing");
-  double value = 0.0;
-  Read(key, imu[key], &value);
-  if (!(value >= low && value <= high))
-    Reject(key, " = ", YamlNumber(value), " is out of range: must be within [", YamlNumber(low),
-           ", ", YamlNumber(high), "]");
-  return value;
-}
-
-struct NoiseKey {
+/// A key of a number, the field that it sets, if any, and its bounds.
+struct ImuKey {
   const char* name;
   double CalibrationOptions::*field;
-  double low;  ///< bound, as of the field
+  double low, high;
 };
-constexpr NoiseKey kNoiseKeys[] = {
-    {"gyroscope_noise_density", &CalibrationOptions::gyro_noise_density, 1e-9},
-    {"gyroscope_random_walk", &CalibrationOptions::gyro_bias_walk, 1e-12},
-    {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9},
-    {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12}};
+constexpr ImuKey kImuKeys[] = {
+    {"gyroscope_noise_density", &CalibrationOptions::gyro_noise_density, 1e-9, 1e3},
+    {"gyroscope_random_walk", &CalibrationOptions::gyro_bias_walk, 1e-12, 1e3},
+    {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9, 1e3},
+    {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12, 1e3},
+    {"update_rate", nullptr, 1e-3, 1e6}};
 
 }  // namespace
 
@@ -172,8 +152,16 @@ SolverKind ParseSolver(const std::string& name) {
 }
 
 CalibrationOptions ParseOptions(const std::string& yaml) {
+  const YAML::Node map = ParseYaml(yaml);
+  if (!map.IsMap() && !map.IsNull()) Reject("must be a map of 'option: value' lines");
   CalibrationOptions options;
-  ReadMap(ParseYaml(yaml), &options);
+  std::set<std::string> seen;
+  for (const auto& entry : map) {
+    if (!entry.first.IsScalar()) Reject("keys must be strings");
+    const std::string key = entry.first.Scalar();
+    if (!seen.insert(key).second) Reject("option '", key, "' is given twice");
+    ReadField(key, entry.second, &options);
+  }
   options.Validate();
   return options;
 }
@@ -192,19 +180,26 @@ std::string ToYaml(const CalibrationOptions& options) {
 
 std::string ParseImuYaml(const std::string& yaml, CalibrationOptions* options) {
   const YAML::Node imu = FindImu(ParseYaml(yaml));
-  for (const NoiseKey& key : kNoiseKeys)
-    options->*key.field = ReadNumber(imu, key.name, key.low, 1e3);
-  if (imu["update_rate"]) ReadNumber(imu, "update_rate", 1e-3, 1e6);
-  if (!imu["rostopic"]) return "";
-  if (!imu["rostopic"].IsScalar()) Reject("rostopic must be a string");
-  return imu["rostopic"].Scalar();
+  for (const auto& [name, field, low, high] : kImuKeys) {
+    if (!imu[name] && field == nullptr) continue;
+    if (!imu[name]) Reject(name, " is missing");
+    double value = 0.0;
+    Read(name, imu[name], &value);
+    if (!(value >= low && value <= high))
+      Reject(name, " = ", YamlNumber(value), " is out of range: must be within [", YamlNumber(low),
+             ", ", YamlNumber(high), "]");
+    if (field != nullptr) options->*field = value;
+  }
+  std::string topic;
+  if (imu["rostopic"]) ReadYaml("rostopic", imu["rostopic"], &topic);
+  return topic;
 }
 
 std::string LoadImuYaml(const std::string& path, CalibrationOptions* options) {
   CalibrationOptions ignored;
-  CalibrationOptions* const noise = options ? options : &ignored;
-  return LoadYaml("imu_yaml", path,
-                  [&](const std::string& yaml) { return ParseImuYaml(yaml, noise); });
+  return LoadYaml("imu_yaml", path, [&](const std::string& yaml) {
+    return ParseImuYaml(yaml, options ? options : &ignored);
+  });
 }
 
 }  // namespace imu_pose_calib
