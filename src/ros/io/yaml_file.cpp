@@ -118,16 +118,17 @@ Eigen::Quaterniond UnitQuaternion(const std::string& what, const Eigen::Vector4d
 }
 
 std::string DidYouMean(const std::string& name, const std::vector<std::string>& names) {
-  const auto distance = [&name](const std::string& other) {
+  std::string nearest;
+  size_t least = std::max<size_t>(1, name.size() / 3) + 1;
+  for (const std::string& other : names) {
     const size_t place = name.size() < 3 ? std::string::npos : other.find(name);
-    return place == std::string::npos ? EditDistance(name, other) : std::min<size_t>(place, 1);
-  };
-  const auto nearest = std::min_element(
-      names.begin(), names.end(),
-      [&](const std::string& a, const std::string& b) { return distance(a) < distance(b); });
-  const size_t farthest = std::max<size_t>(1, name.size() / 3);
-  const bool is_near = nearest != names.end() && distance(*nearest) <= farthest;
-  return is_near ? "; did you mean '" + *nearest + "'?" : "";
+    const size_t distance =
+        place == std::string::npos ? EditDistance(name, other) : std::min<size_t>(place, 1);
+    if (distance >= least) continue;
+    least = distance;
+    nearest = other;
+  }
+  return nearest.empty() ? "" : "; did you mean '" + nearest + "'?";
 }
 
 }  // namespace imu_pose_calib
