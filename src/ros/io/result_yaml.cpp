@@ -12,9 +12,6 @@
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
-
-const char kResultHeader[] = "# imu_pose_calib: calibration of an IMU on a tracked body";
-
 namespace {
 
 const char kEquations[] = R"(

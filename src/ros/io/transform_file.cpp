@@ -12,16 +12,6 @@
 namespace imu_pose_calib {
 namespace {
 
-Rigid3 FromRows(const YAML::Node& rows, const std::string& what) {
-  Eigen::Matrix4d T;
-  ReadYaml(what, rows, &T);
-  const Eigen::Matrix3d R = T.topLeftCorner<3, 3>();
-  const bool is_rigid = (R * R.transpose()).isIdentity(1e-3) && R.determinant() > 0.0 &&
-                        T.row(3).isApprox(Eigen::RowVector4d(0.0, 0.0, 0.0, 1.0));
-  if (!is_rigid) Reject(what, " must be a rotation and a translation");
-  return {Eigen::Quaterniond(R).normalized(), T.topRightCorner<3, 1>()};
-}
-
 Rigid3 FromLists(const YAML::Node& node) {
   Rigid3 T;
   ReadYaml("rotation", node["rotation"], &T.q);
@@ -42,32 +32,12 @@ Rigid3 ParseTransform(const std::string& yaml) {
   if (root["transform"] && root["transform"].IsMap()) return FromLists(root["transform"]);
   if (root["transformation"] && root["transformation"].IsMap())
     return FromKeys(root["transformation"]);
-  if (root["matrix"]) return FromRows(root["matrix"], "matrix");
+  if (root["matrix"]) return ReadMatrix("matrix", root["matrix"]);
   if (root["translation"]) return FromLists(root);
   if (root["qw"]) return FromKeys(root);
   Reject(
       "must hold x y z qx qy qz qw, translation and rotation, or matrix, at the top or below "
       "transform or transformation");
-}
-
-std::vector<ChainCamera> ParseCameraChain(const std::string& yaml) {
-  const YAML::Node root = ParseYaml(yaml);
-  std::vector<ChainCamera> cameras;
-  if (!root.IsMap()) Reject("must be a map");
-  for (const auto& entry : root) {
-    const std::string name = entry.first.IsScalar() ? entry.first.Scalar() : "";
-    if (name.compare(0, 3, "cam") != 0 || !entry.second.IsMap()) continue;
-    const YAML::Node camera = entry.second;
-    if (camera["T_cam_imu"])
-      cameras.push_back({name, FromRows(camera["T_cam_imu"], name + ": T_cam_imu")});
-    else if (camera["T_imu_cam"])
-      cameras.push_back({name, FromRows(camera["T_imu_cam"], name + ": T_imu_cam").Inverse()});
-    else
-      Reject(name,
-             " has no T_cam_imu; give the camchain-imucam.yaml of the calibration with the imu");
-  }
-  if (cameras.empty()) Reject("holds no cam0");
-  return cameras;
 }
 
 /// The words of a text, which blanks or commas separate.
@@ -104,10 +74,6 @@ Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q) {
   const Eigen::Matrix3d yaw_pitch = R * Eigen::AngleAxisd(-roll, Eigen::Vector3d::UnitX());
   return {roll, std::atan2(-yaw_pitch(2, 0), yaw_pitch(2, 2)),
           std::atan2(-yaw_pitch(0, 1), yaw_pitch(1, 1))};
-}
-
-std::vector<ChainCamera> LoadCameraChain(const std::string& path) {
-  return LoadYaml("camera chain", path, ParseCameraChain);
 }
 
 }  // namespace imu_pose_calib

@@ -117,6 +117,16 @@ Eigen::Quaterniond UnitQuaternion(const std::string& what, const Eigen::Vector4d
   return Eigen::Quaterniond(xyzw).normalized();
 }
 
+Rigid3 ReadMatrix(const std::string& what, const YAML::Node& rows) {
+  Eigen::Matrix4d T;
+  ReadYaml(what, rows, &T);
+  const Eigen::Matrix3d R = T.topLeftCorner<3, 3>();
+  const bool is_rigid = (R * R.transpose()).isIdentity(1e-3) && R.determinant() > 0.0 &&
+                        T.row(3).isApprox(Eigen::RowVector4d(0.0, 0.0, 0.0, 1.0));
+  if (!is_rigid) Reject(what, " must be a rotation and a translation");
+  return {Eigen::Quaterniond(R).normalized(), T.topRightCorner<3, 1>()};
+}
+
 std::string DidYouMean(const std::string& name, const std::vector<std::string>& names) {
   std::string nearest;
   size_t least = std::max<size_t>(1, name.size() / 3) + 1;

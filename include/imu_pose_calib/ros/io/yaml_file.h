@@ -54,6 +54,9 @@ void ReadYaml(const std::string& what, const YAML::Node& rows,
   }
 }
 
+/// A transform as four rows of four numbers.
+Rigid3 ReadMatrix(const std::string& what, const YAML::Node& rows);
+
 /// Normalized when it is within 1 % of a unit quaternion; else InputError.
 Eigen::Quaterniond UnitQuaternion(const std::string& what, const Eigen::Vector4d& xyzw);
 
