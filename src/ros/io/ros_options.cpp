@@ -29,8 +29,9 @@ T ReadScalar(const std::string& what, const YAML::Node& node, const char* expect
 
 /// The value of that name; `known` are all names.
 template <typename Enum>
-Enum ParseName(const std::string& what, const std::string& name, std::initializer_list<Enum> values,
-               const char* known) {
+Enum ReadName(const std::string& what, const YAML::Node& node, std::initializer_list<Enum> values,
+              const char* known) {
+  const auto name = ReadScalar<std::string>(what, node, "a string");
   for (const Enum value : values)
     if (name == ToString(value)) return value;
   Reject(what, " '", name, "' does not exist; available: ", known);
@@ -46,20 +47,19 @@ void Read(const std::string& what, const YAML::Node& node, bool* field) {
   *field = ReadScalar<bool>(what, node, "true or false");
 }
 void Read(const std::string& what, const YAML::Node& node, Method* field) {
-  *field = ParseMethod(ReadScalar<std::string>(what, node, "a string"));
+  *field = ReadName(what, node, {Method::kJoint, Method::kGp}, "joint, gp");
 }
 void Read(const std::string& what, const YAML::Node& node, SolverKind* field) {
-  *field = ParseSolver(ReadScalar<std::string>(what, node, "a string"));
+  *field = ReadName(what, node, {SolverKind::kWindows, SolverKind::kCeres}, "windows, ceres");
 }
 void Read(const std::string& what, const YAML::Node& node, ImuModel* field) {
-  *field = ParseName(what, ReadScalar<std::string>(what, node, "a string"),
-                     {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
-                     "calibrated, scale_misalignment");
+  *field = ReadName(what, node, {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
+                    "calibrated, scale_misalignment");
 }
 void Read(const std::string& what, const YAML::Node& node, StampRecovery* field) {
-  *field = ParseName(what, ReadScalar<std::string>(what, node, "a string"),
-                     {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
-                     "auto, always or never");
+  *field =
+      ReadName(what, node, {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
+               "auto, always or never");
 }
 template <int kSize>
 void Read(const std::string& what, const YAML::Node& node, Eigen::Matrix<double, kSize, 1>* field) {
@@ -88,21 +88,6 @@ std::string Text(Enum value) {
 template <typename T>
 std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
-}
-
-/// Sets the field called `key`.
-void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
-  std::vector<std::string> others;
-  bool found = false;
-  VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
-    if (name == key) {
-      found = true;
-      Read("option " + key, value, &field);
-    } else {
-      others.push_back(name);
-    }
-  });
-  if (!found) Reject("there is no option '", key, "'", DidYouMean(key, others));
 }
 
 // --- Noise of an IMU ---
@@ -143,12 +128,18 @@ constexpr ImuKey kImuKeys[] = {
 
 }  // namespace
 
-Method ParseMethod(const std::string& name) {
-  return ParseName("method", name, {Method::kJoint, Method::kGp}, "joint, gp");
-}
-
-SolverKind ParseSolver(const std::string& name) {
-  return ParseName("solver", name, {SolverKind::kWindows, SolverKind::kCeres}, "windows, ceres");
+void SetOption(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
+  std::vector<std::string> others;
+  bool found = false;
+  VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
+    if (name == key) {
+      found = true;
+      Read("option " + key, value, &field);
+    } else {
+      others.push_back(name);
+    }
+  });
+  if (!found) Reject("there is no option '", key, "'", DidYouMean(key, others));
 }
 
 CalibrationOptions ParseOptions(const std::string& yaml) {
@@ -160,7 +151,7 @@ CalibrationOptions ParseOptions(const std::string& yaml) {
     if (!entry.first.IsScalar()) Reject("keys must be strings");
     const std::string key = entry.first.Scalar();
     if (!seen.insert(key).second) Reject("option '", key, "' is given twice");
-    ReadField(key, entry.second, &options);
+    SetOption(key, entry.second, &options);
   }
   options.Validate();
   return options;
