@@ -12,6 +12,7 @@
 
 #include "imu_pose_calib/ros/io/text.h"
 #include "imu_pose_calib/ros/io/transform_file.h"
+#include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -424,6 +425,27 @@ bool NeedsImu(const std::string& program) {
   });
 }
 
+/// The cameras of a chain of Kalibr, or of OpenVINS, by their names: x_imu = T x_cam.
+std::vector<std::pair<std::string, Rigid3>> ParseCameraChain(const std::string& yaml) {
+  const YAML::Node root = ParseYaml(yaml);
+  std::vector<std::pair<std::string, Rigid3>> cameras;
+  if (!root.IsMap()) Reject("must be a map");
+  for (const auto& entry : root) {
+    const std::string name = entry.first.IsScalar() ? entry.first.Scalar() : "";
+    const YAML::Node camera = entry.second;
+    if (!boost::starts_with(name, "cam") || !camera.IsMap()) continue;
+    if (camera["T_cam_imu"])
+      cameras.emplace_back(name, ReadMatrix(name + ": T_cam_imu", camera["T_cam_imu"]).Inverse());
+    else if (camera["T_imu_cam"])
+      cameras.emplace_back(name, ReadMatrix(name + ": T_imu_cam", camera["T_imu_cam"]));
+    else
+      Reject(name,
+             " has no T_cam_imu; give the camchain-imucam.yaml of the calibration with the imu");
+  }
+  if (cameras.empty()) Reject("holds no cam0");
+  return cameras;
+}
+
 }  // namespace
 
 std::vector<std::string> ExportNames() {
@@ -486,8 +508,8 @@ cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
   const std::string& frame = stored.Info(imu).imu_frame;
   std::vector<Values> links = {
       LinkValues(0, stored.infos.front().marker_frame, frame, stored.result.imus[imu].T_MI)};
-  for (const auto& [name, T_cam_imu] : LoadCameraChain(path))
-    links.push_back(LinkValues(links.size(), frame, name, T_cam_imu.Inverse()));
+  for (const auto& [name, T_imu_cam] : LoadYaml("camera chain", path, ParseCameraChain))
+    links.push_back(LinkValues(links.size(), frame, name, T_imu_cam));
   std::vector<ExportFile> files;
   for (const Template& file : kTemplates)
     if (IsOf("urdf", file) || IsOf("tf", file))

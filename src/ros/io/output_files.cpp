@@ -174,20 +174,16 @@ void OutputFiles::Write(const std::string& path, const std::string& text) {
 }
 
 void OutputFiles::MakeFolder(const std::string& path) {
-  std::vector<fs::path> missing;
+  fs::path folder;
   std::error_code error;
-  for (fs::path folder = fs::absolute(path); !fs::exists(folder, error);
-       folder = folder.parent_path())
-    missing.push_back(folder);
-  for (auto folder = missing.rbegin(); folder != missing.rend(); ++folder) {
+  for (const fs::path& part : fs::absolute(path)) {
+    folder /= part;
     const std::lock_guard<std::mutex> lock(All().mutex);
-    if (!fs::create_directory(*folder, error)) continue;
-    folders_.push_back(*folder);
-    All().paths.insert(*folder);
+    if (!fs::create_directory(folder, error)) continue;
+    folders_.push_back(folder);
+    All().paths.insert(folder);
   }
-  if (error || !fs::is_directory(path, error))
-    Reject("folder '", path,
-           "' cannot be made: ", (error ? error.message() : std::strerror(ENOTDIR)));
+  if (error) Reject("folder '", path, "' cannot be made: ", error.message());
 }
 
 bool OutputFiles::Holds(const std::string& path) const {

@@ -12,9 +12,6 @@
 #include "imu_pose_calib/ros/io/yaml_file.h"
 
 namespace imu_pose_calib {
-
-const char kResultHeader[] = "# imu_pose_calib: calibration of an IMU on a tracked body";
-
 namespace {
 
 const char kEquations[] = R"(
@@ -60,7 +57,7 @@ class ResultFile {
   template <typename T>
   void Value(const std::string& path, T& value) {
     if (reads_)
-      Read(path, Find(path), &value);
+      ReadYaml(Name(path), Find(path), &value);
     else
       Note(path, value);
   }
@@ -107,10 +104,12 @@ class ResultFile {
   }
 
   [[noreturn]] static void Fail(const std::string& path, const std::string& what) {
-    Reject(boost::join(Split(path), ": "), " ", what);
+    Reject(Name(path), " ", what);
   }
 
  private:
+  /// For errors.
+  static std::string Name(const std::string& path) { return boost::join(Split(path), ": "); }
   static std::vector<std::string> Split(const std::string& path) {
     std::vector<std::string> parts;
     return boost::split(parts, path, [](char c) { return c == '.' || c == '/'; });
@@ -185,40 +184,6 @@ class ResultFile {
     const YAML::Node node = Get(path);
     if (!node.IsDefined()) Fail(path, "is missing");
     return node;
-  }
-
-  static void Read(const std::string& path, const YAML::Node& node, double* value) {
-    if (!node.IsScalar() || !YAML::convert<double>::decode(node, *value) || !std::isfinite(*value))
-      Fail(path, "must hold finite numbers");
-  }
-  static void Read(const std::string& path, const YAML::Node& node, size_t* value) {
-    if (!node.IsScalar() || !YAML::convert<size_t>::decode(node, *value))
-      Fail(path, "must be a whole number");
-  }
-  static void Read(const std::string& path, const YAML::Node& node, std::string* value) {
-    if (!node.IsScalar()) Fail(path, "must be a string");
-    *value = node.Scalar();
-  }
-  static void Read(const std::string& path, const YAML::Node& node, Eigen::Quaterniond* value) {
-    Read(path, node, &value->coeffs());
-    if (std::abs(value->norm() - 1.0) > 1e-6) Fail(path, "must be a unit quaternion");
-    value->normalize();
-  }
-  /// A list of numbers, or of rows.
-  template <int kRows, int kColumns>
-  static void Read(const std::string& path, const YAML::Node& rows,
-                   Eigen::Matrix<double, kRows, kColumns>* value) {
-    constexpr bool kIsVector = kColumns == 1;
-    const auto check = [&](const YAML::Node& list, size_t size, const char* what) {
-      if (!list.IsSequence() || list.size() != size)
-        Fail(path, (kIsVector ? "must be a list of " : "must have ") + std::to_string(size) + what);
-    };
-    check(rows, kRows, kIsVector ? " numbers" : " rows");
-    for (int i = 0; i < kRows; ++i) {
-      if (!kIsVector) check(rows[i], kColumns, " columns");
-      for (int j = 0; j < kColumns; ++j)
-        Read(path, kIsVector ? rows[i] : rows[i][j], &(*value)(i, j));
-    }
   }
 
   YAML::Emitter out_;

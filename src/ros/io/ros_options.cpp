@@ -14,61 +14,66 @@
 namespace imu_pose_calib {
 namespace {
 
-/// The value of a key is not of the type of its field.
-struct TypeError {
-  std::string expected;
-};
+// Read the value of a key, which errors call `what`.
+
+[[noreturn]] void Refuse(const std::string& what, const YAML::Node& node, const char* expected) {
+  Reject(what, " must be ", expected, ", not ", (node.IsNull() ? "nothing" : YAML::Dump(node)));
+}
 
 template <typename T>
-T ReadScalar(const YAML::Node& node, const char* expected) {
+T ReadScalar(const std::string& what, const YAML::Node& node, const char* expected) {
   T value{};
-  if (!node.IsScalar() || !YAML::convert<T>::decode(node, value)) throw TypeError{expected};
+  if (!node.IsScalar() || !YAML::convert<T>::decode(node, value)) Refuse(what, node, expected);
   return value;
 }
 
+/// The value of that name; `known` are all names.
 template <typename Enum>
-Enum ReadName(const YAML::Node& node, std::initializer_list<Enum> values, const char* expected) {
-  const auto name = ReadScalar<std::string>(node, "a string");
+Enum ReadName(const std::string& what, const YAML::Node& node, std::initializer_list<Enum> values,
+              const char* known) {
+  const auto name = ReadScalar<std::string>(what, node, "a string");
   for (const Enum value : values)
     if (name == ToString(value)) return value;
-  throw TypeError{expected};
+  Reject(what, " '", name, "' does not exist; available: ", known);
 }
 
-Eigen::VectorXd ReadNumbers(const YAML::Node& node, size_t count, const char* expected) {
-  if (!node.IsSequence() || node.size() != count) throw TypeError{expected};
-  Eigen::VectorXd values(static_cast<Eigen::Index>(count));
-  for (size_t i = 0; i < count; ++i)
-    values[static_cast<Eigen::Index>(i)] = ReadScalar<double>(node[i], expected);
-  return values;
+void Read(const std::string& what, const YAML::Node& node, double* field) {
+  *field = ReadScalar<double>(what, node, "a number");
 }
-
-void Read(const YAML::Node& node, double* field) { *field = ReadScalar<double>(node, "a number"); }
-void Read(const YAML::Node& node, int* field) { *field = ReadScalar<int>(node, "an integer"); }
-void Read(const YAML::Node& node, bool* field) { *field = ReadScalar<bool>(node, "true or false"); }
-void Read(const YAML::Node& node, Method* field) {
-  *field = ParseMethod(ReadScalar<std::string>(node, "a string"));
+void Read(const std::string& what, const YAML::Node& node, int* field) {
+  *field = ReadScalar<int>(what, node, "an integer");
 }
-void Read(const YAML::Node& node, SolverKind* field) {
-  *field = ParseSolver(ReadScalar<std::string>(node, "a string"));
+void Read(const std::string& what, const YAML::Node& node, bool* field) {
+  *field = ReadScalar<bool>(what, node, "true or false");
 }
-void Read(const YAML::Node& node, ImuModel* field) {
-  *field = ReadName(node, {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
-                    "calibrated or scale_misalignment");
+void Read(const std::string& what, const YAML::Node& node, Method* field) {
+  *field = ReadName(what, node, {Method::kJoint, Method::kGp}, "joint, gp");
 }
-void Read(const YAML::Node& node, StampRecovery* field) {
-  *field = ReadName(node, {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
-                    "auto, always or never");
+void Read(const std::string& what, const YAML::Node& node, SolverKind* field) {
+  *field = ReadName(what, node, {SolverKind::kWindows, SolverKind::kCeres}, "windows, ceres");
 }
-void Read(const YAML::Node& node, Eigen::Vector3d* field) {
-  *field = ReadNumbers(node, 3, "[x, y, z]");
+void Read(const std::string& what, const YAML::Node& node, ImuModel* field) {
+  *field = ReadName(what, node, {ImuModel::kCalibrated, ImuModel::kScaleMisalignment},
+                    "calibrated, scale_misalignment");
 }
-void Read(const YAML::Node& node, Eigen::Quaterniond* field) {
-  field->coeffs() = ReadNumbers(node, 4, "[x, y, z, w]");
+void Read(const std::string& what, const YAML::Node& node, StampRecovery* field) {
+  *field =
+      ReadName(what, node, {StampRecovery::kAuto, StampRecovery::kAlways, StampRecovery::kNever},
+               "auto, always or never");
+}
+template <int kSize>
+void Read(const std::string& what, const YAML::Node& node, Eigen::Matrix<double, kSize, 1>* field) {
+  const char* const expected = kSize == 3 ? "[x, y, z]" : "[x, y, z, w]";
+  if (!node.IsSequence() || node.size() != kSize) Refuse(what, node, expected);
+  for (int i = 0; i < kSize; ++i) (*field)[i] = ReadScalar<double>(what, node[i], expected);
+}
+void Read(const std::string& what, const YAML::Node& node, Eigen::Quaterniond* field) {
+  Read(what, node, &field->coeffs());
 }
 template <typename T>
-void Read(const YAML::Node& node, std::optional<T>* field) {
+void Read(const std::string& what, const YAML::Node& node, std::optional<T>* field) {
   field->reset();
-  if (!node.IsNull()) Read(node, &field->emplace());
+  if (!node.IsNull()) Read(what, node, &field->emplace());
 }
 
 std::string Text(double value) { return YamlNumber(value); }
@@ -83,44 +88,6 @@ std::string Text(Enum value) {
 template <typename T>
 std::string Text(const std::optional<T>& value) {
   return value ? Text(*value) : "~";
-}
-
-/// Reads the value of a key, which errors call `what`.
-template <typename T>
-void ReadValue(const std::string& what, const YAML::Node& node, T* field) {
-  try {
-    Read(node, field);
-  } catch (const TypeError& error) {
-    Reject(what, " must be ", error.expected, ", not ",
-           (node.IsNull() ? "nothing" : YAML::Dump(node)));
-  }
-}
-
-/// Sets the field called `key`.
-void ReadField(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
-  std::vector<std::string> others;
-  bool found = false;
-  VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
-    if (name == key) {
-      found = true;
-      ReadValue("option " + key, value, &field);
-    } else {
-      others.push_back(name);
-    }
-  });
-  if (!found) Reject("there is no option '", key, "'", DidYouMean(key, others));
-}
-
-void ReadMap(const YAML::Node& map, CalibrationOptions* options) {
-  if (map.IsNull()) return;  // empty file
-  if (!map.IsMap()) Reject("must be a map of 'option: value' lines");
-  std::set<std::string> seen;
-  for (const auto& entry : map) {
-    if (!entry.first.IsScalar()) Reject("keys must be strings");
-    const std::string key = entry.first.Scalar();
-    if (!seen.insert(key).second) Reject("option '", key, "' is given twice");
-    ReadField(key, entry.second, options);
-  }
 }
 
 // --- Noise of an IMU ---
@@ -146,51 +113,46 @@ YAML::Node FindImu(const YAML::Node& root) {
   return imu;
 }
 
-double ReadNumber(const YAML::Node& imu, const std::string& key, double low, double high) {
-  if (!imu[key]) Reject(key, " is missing");
-  double value = 0.0;
-  ReadValue(key, imu[key], &value);
-  if (!(value >= low && value <= high))
-    Reject(key, " = ", YamlNumber(value), " is out of range: must be within [", YamlNumber(low),
-           ", ", YamlNumber(high), "]");
-  return value;
-}
-
-struct NoiseKey {
+/// A key of a number, the field that it sets, if any, and its bounds.
+struct ImuKey {
   const char* name;
   double CalibrationOptions::*field;
-  double low;  ///< bound, as of the field
+  double low, high;
 };
-constexpr NoiseKey kNoiseKeys[] = {
-    {"gyroscope_noise_density", &CalibrationOptions::gyro_noise_density, 1e-9},
-    {"gyroscope_random_walk", &CalibrationOptions::gyro_bias_walk, 1e-12},
-    {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9},
-    {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12}};
-
-template <typename Enum>
-Enum ParseName(const std::string& what, const std::string& name,
-               std::initializer_list<Enum> values) {
-  std::string known;
-  for (const Enum value : values) {
-    if (name == ToString(value)) return value;
-    known += (known.empty() ? "" : ", ") + std::string(ToString(value));
-  }
-  Reject(what, " '", name, "' does not exist; available: ", known);
-}
+constexpr ImuKey kImuKeys[] = {
+    {"gyroscope_noise_density", &CalibrationOptions::gyro_noise_density, 1e-9, 1e3},
+    {"gyroscope_random_walk", &CalibrationOptions::gyro_bias_walk, 1e-12, 1e3},
+    {"accelerometer_noise_density", &CalibrationOptions::accel_noise_density, 1e-9, 1e3},
+    {"accelerometer_random_walk", &CalibrationOptions::accel_bias_walk, 1e-12, 1e3},
+    {"update_rate", nullptr, 1e-3, 1e6}};
 
 }  // namespace
 
-Method ParseMethod(const std::string& name) {
-  return ParseName("method", name, {Method::kJoint, Method::kGp});
-}
-
-SolverKind ParseSolver(const std::string& name) {
-  return ParseName("solver", name, {SolverKind::kWindows, SolverKind::kCeres});
+void SetOption(const std::string& key, const YAML::Node& value, CalibrationOptions* options) {
+  std::vector<std::string> others;
+  bool found = false;
+  VisitFields(*options, [&](const std::string& name, auto& field, const Bound&) {
+    if (name == key) {
+      found = true;
+      Read("option " + key, value, &field);
+    } else {
+      others.push_back(name);
+    }
+  });
+  if (!found) Reject("there is no option '", key, "'", DidYouMean(key, others));
 }
 
 CalibrationOptions ParseOptions(const std::string& yaml) {
+  const YAML::Node map = ParseYaml(yaml);
+  if (!map.IsMap() && !map.IsNull()) Reject("must be a map of 'option: value' lines");
   CalibrationOptions options;
-  ReadMap(ParseYaml(yaml), &options);
+  std::set<std::string> seen;
+  for (const auto& entry : map) {
+    if (!entry.first.IsScalar()) Reject("keys must be strings");
+    const std::string key = entry.first.Scalar();
+    if (!seen.insert(key).second) Reject("option '", key, "' is given twice");
+    SetOption(key, entry.second, &options);
+  }
   options.Validate();
   return options;
 }
@@ -209,19 +171,26 @@ std::string ToYaml(const CalibrationOptions& options) {
 
 std::string ParseImuYaml(const std::string& yaml, CalibrationOptions* options) {
   const YAML::Node imu = FindImu(ParseYaml(yaml));
-  for (const NoiseKey& key : kNoiseKeys)
-    options->*key.field = ReadNumber(imu, key.name, key.low, 1e3);
-  if (imu["update_rate"]) ReadNumber(imu, "update_rate", 1e-3, 1e6);
-  if (!imu["rostopic"]) return "";
-  if (!imu["rostopic"].IsScalar()) Reject("rostopic must be a string");
-  return imu["rostopic"].Scalar();
+  for (const auto& [name, field, low, high] : kImuKeys) {
+    if (!imu[name] && field == nullptr) continue;
+    if (!imu[name]) Reject(name, " is missing");
+    double value = 0.0;
+    Read(name, imu[name], &value);
+    if (!(value >= low && value <= high))
+      Reject(name, " = ", YamlNumber(value), " is out of range: must be within [", YamlNumber(low),
+             ", ", YamlNumber(high), "]");
+    if (field != nullptr) options->*field = value;
+  }
+  std::string topic;
+  if (imu["rostopic"]) ReadYaml("rostopic", imu["rostopic"], &topic);
+  return topic;
 }
 
 std::string LoadImuYaml(const std::string& path, CalibrationOptions* options) {
   CalibrationOptions ignored;
-  CalibrationOptions* const noise = options ? options : &ignored;
-  return LoadYaml("imu_yaml", path,
-                  [&](const std::string& yaml) { return ParseImuYaml(yaml, noise); });
+  return LoadYaml("imu_yaml", path, [&](const std::string& yaml) {
+    return ParseImuYaml(yaml, options ? options : &ignored);
+  });
 }
 
 }  // namespace imu_pose_calib

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <fstream>
 #include <numeric>
@@ -89,17 +90,55 @@ YAML::Node ParseYaml(const std::string& text) {
   }
 }
 
+void ReadYaml(const std::string& what, const YAML::Node& node, double* value) {
+  if (!node || !node.IsScalar() || !YAML::convert<double>::decode(node, *value) ||
+      !std::isfinite(*value))
+    Reject(what, " must hold finite numbers");
+}
+
+void ReadYaml(const std::string& what, const YAML::Node& node, size_t* value) {
+  if (!node || !node.IsScalar() || !YAML::convert<size_t>::decode(node, *value))
+    Reject(what, " must be a whole number");
+}
+
+void ReadYaml(const std::string& what, const YAML::Node& node, std::string* value) {
+  if (!node || !node.IsScalar()) Reject(what, " must be a string");
+  *value = node.Scalar();
+}
+
+void ReadYaml(const std::string& what, const YAML::Node& node, Eigen::Quaterniond* value) {
+  ReadYaml(what, node, &value->coeffs());
+  *value = UnitQuaternion(what, value->coeffs());
+}
+
+Eigen::Quaterniond UnitQuaternion(const std::string& what, const Eigen::Vector4d& xyzw) {
+  if (std::abs(xyzw.norm() - 1.0) > 0.01)
+    Reject(what, " must be a unit quaternion x, y, z, w; its norm is ", xyzw.norm());
+  return Eigen::Quaterniond(xyzw).normalized();
+}
+
+Rigid3 ReadMatrix(const std::string& what, const YAML::Node& rows) {
+  Eigen::Matrix4d T;
+  ReadYaml(what, rows, &T);
+  const Eigen::Matrix3d R = T.topLeftCorner<3, 3>();
+  const bool is_rigid = (R * R.transpose()).isIdentity(1e-3) && R.determinant() > 0.0 &&
+                        T.row(3).isApprox(Eigen::RowVector4d(0.0, 0.0, 0.0, 1.0));
+  if (!is_rigid) Reject(what, " must be a rotation and a translation");
+  return {Eigen::Quaterniond(R).normalized(), T.topRightCorner<3, 1>()};
+}
+
 std::string DidYouMean(const std::string& name, const std::vector<std::string>& names) {
-  const auto distance = [&name](const std::string& other) {
+  std::string nearest;
+  size_t least = std::max<size_t>(1, name.size() / 3) + 1;
+  for (const std::string& other : names) {
     const size_t place = name.size() < 3 ? std::string::npos : other.find(name);
-    return place == std::string::npos ? EditDistance(name, other) : std::min<size_t>(place, 1);
-  };
-  const auto nearest = std::min_element(
-      names.begin(), names.end(),
-      [&](const std::string& a, const std::string& b) { return distance(a) < distance(b); });
-  const size_t farthest = std::max<size_t>(1, name.size() / 3);
-  const bool is_near = nearest != names.end() && distance(*nearest) <= farthest;
-  return is_near ? "; did you mean '" + *nearest + "'?" : "";
+    const size_t distance =
+        place == std::string::npos ? EditDistance(name, other) : std::min<size_t>(place, 1);
+    if (distance >= least) continue;
+    least = distance;
+    nearest = other;
+  }
+  return nearest.empty() ? "" : "; did you mean '" + nearest + "'?";
 }
 
 }  // namespace imu_pose_calib

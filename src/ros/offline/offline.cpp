@@ -279,8 +279,8 @@ CalibrationOptions Options(const OfflineRequest& request) {
   CalibrationOptions options;
   if (!request.config.empty()) options = LoadOptions(request.config);
   if (!request.imu_yaml.empty()) LoadImuYaml(request.imu_yaml, &options);
-  if (!request.method.empty()) options.method = ParseMethod(request.method);
-  if (!request.solver.empty()) options.solver = ParseSolver(request.solver);
+  if (!request.method.empty()) SetOption("method", YAML::Node(request.method), &options);
+  if (!request.solver.empty()) SetOption("solver", YAML::Node(request.solver), &options);
   if (request.calibration.empty()) return options;
   // Clocks, gravity and biases are each recording's own.
   const Calibration stored = LoadResult(request.calibration).result;

@@ -195,7 +195,7 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   for (size_t s = 0; s < recordings.size(); ++s) Disturb(trial, s, &recordings[s]);
 
   CalibrationOptions options;
-  options.method = ParseMethod(trial.method);
+  SetOption("method", YAML::Node(trial.method), &options);
   options.num_threads = 1;  // trials run side by side, and give the same on any machine
   if (trial.is_guessed) {
     std::mt19937 random = RandomOf(Use::kGuess, trial.index);

@@ -31,7 +31,7 @@ constexpr DropReason kDropReasons[] = {
 std::string Dropped(const StreamReport& report);
 
 /// First line of every result file; tells our files from others.
-extern const char kResultHeader[];
+constexpr char kResultHeader[] = "# imu_pose_calib: calibration of an IMU on a tracked body";
 
 /// The run that a result is of.
 struct RunInfo {

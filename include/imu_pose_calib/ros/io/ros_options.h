@@ -1,14 +1,12 @@
 #pragma once
 
+#include <yaml-cpp/yaml.h>
+
 #include <string>
 
 #include "imu_pose_calib/core/base/options.h"
 
 namespace imu_pose_calib {
-
-/// Method or solver of that name; InputError listing the names when there is none.
-Method ParseMethod(const std::string& name);
-SolverKind ParseSolver(const std::string& name);
 
 /// Options of a YAML text: a map whose keys are field names of CalibrationOptions. Fields without a
 /// key keep their default; `~` means "not given" for the optional ones. Rotations are [x, y, z, w],
@@ -19,6 +17,9 @@ CalibrationOptions ParseOptions(const std::string& yaml);
 
 /// The same of a file, which the error names too.
 CalibrationOptions LoadOptions(const std::string& yaml_path);
+
+/// Sets the field called `key` as a value of such a text does, without a look at its range.
+void SetOption(const std::string& key, const YAML::Node& value, CalibrationOptions* options);
 
 /// The same map for every field, one `key: value` a line; ParseOptions() reads it back exactly.
 std::string ToYaml(const CalibrationOptions& options);

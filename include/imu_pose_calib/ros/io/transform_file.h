@@ -1,7 +1,6 @@
 #pragma once
 
 #include <string>
-#include <vector>
 
 #include "imu_pose_calib/core/base/types.h"
 
@@ -21,14 +20,5 @@ Rigid3 ReadTransform(const std::string& name, const std::string& text);
 
 /// R = Rz(yaw) Ry(pitch) Rx(roll), as (roll, pitch, yaw) [rad].
 Eigen::Vector3d RollPitchYaw(const Eigen::Quaterniond& q);
-
-/// A camera of a chain: x_cam = T x_imu.
-struct ChainCamera {
-  std::string name;  ///< "cam0"
-  Rigid3 T_cam_imu;
-};
-
-/// The cameras of a camchain-imucam.yaml of Kalibr, or of OpenVINS, which may give T_imu_cam.
-std::vector<ChainCamera> LoadCameraChain(const std::string& path);
 
 }  // namespace imu_pose_calib
