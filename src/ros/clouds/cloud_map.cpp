@@ -154,16 +154,15 @@ std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
   return all;
 }
 
-const std::optional<Rigid3>& CloudMotion::At(int64_t stamp_ns) {
-  const auto [pose, is_new] = poses_.try_emplace(stamp_ns);
-  if (is_new) pose->second = pose_(stamp_ns);
-  return pose->second;
-}
-
 std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns, const Eigen::Vector3f& p_S) {
+  const auto at = [this](int64_t t_ns) -> const std::optional<Rigid3>& {
+    const auto [pose, is_new] = poses_.try_emplace(t_ns);
+    if (is_new) pose->second = pose_(t_ns);
+    return pose->second;
+  };
   const int64_t after_ns = stamp_ns % kStepNs, begin_ns = stamp_ns - after_ns;
-  const std::optional<Rigid3>&begin = At(begin_ns),
-        &end = At(after_ns > 0 ? begin_ns + kStepNs : begin_ns);
+  const std::optional<Rigid3>&begin = at(begin_ns),
+        &end = at(after_ns > 0 ? begin_ns + kStepNs : begin_ns);
   if (!begin || !end) return std::nullopt;
   const Eigen::Vector3d p = p_S.cast<double>();
   const double u = static_cast<double>(after_ns) / static_cast<double>(kStepNs);
@@ -173,23 +172,18 @@ std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns, const Eigen:
 
 void VoxelMap::Add(const Eigen::Vector3d& p_W, float intensity) {
   if (!(p_W.array().abs() <= kFarthest).all())
-    throw InputError("a point is more than " + std::to_string(static_cast<int>(kFarthest)) +
-                     " m from the origin of the poses");
-  Sum& sum = cubes_[CubeOf(p_W, size_)];
-  sum.values += Eigen::Vector4d(p_W.x(), p_W.y(), p_W.z(), static_cast<double>(intensity));
-  ++sum.count;
+    Reject("a point is more than ", static_cast<int>(kFarthest), " m from the origin of the poses");
+  Sum& sum = cubes_.try_emplace(CubeOf(p_W, size_), Sum::Zero()).first->second;
+  sum += (Sum() << p_W, static_cast<double>(intensity), 1.0).finished();
   if (cubes_.size() > most_)
-    throw InputError("the map has more than " + std::to_string(most_) +
-                     " points; give a larger voxel, or a smaller max_range");
+    Reject("the map has more than ", most_, " points; give a larger voxel, or a smaller max_range");
 }
 
 std::vector<MapPoint> VoxelMap::Points() const {
-  std::vector<MapPoint> points;
-  points.reserve(cubes_.size());
-  for (const auto& [cube, sum] : cubes_) {
-    const Eigen::Vector4f mean = (sum.values / static_cast<double>(sum.count)).cast<float>();
-    points.push_back({mean[0], mean[1], mean[2], mean[3]});
-  }
+  std::vector<MapPoint> points(cubes_.size());
+  auto point = points.begin();
+  for (const auto& [cube, sum] : cubes_)
+    Eigen::Vector4f::Map((point++)->data()) = (sum.head<4>() / sum[4]).cast<float>();
   return points;
 }
 
