@@ -3,9 +3,9 @@
 #include <ros/ros.h>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <iostream>
-#include <limits>
 
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
@@ -170,7 +170,7 @@ class Aggregator {
 
   /// Places all points by each of the variants, of which the last one makes the map.
   void Place(const std::vector<SensorPoses>& variants) {
-    for (const SensorPoses& poses : variants) variants_.push_back({poses, {}, {}});
+    for (const SensorPoses& poses : variants) variants_.push_back({poses, {}, {}, {}});
     variants_.back().map.emplace(request_.voxel_m);
     if (request_.publish || !request_.uncalibrated.empty())
       variants_.front().map.emplace(request_.voxel_m);
@@ -200,6 +200,7 @@ class Aggregator {
 
  private:
   struct Variant : SensorPoses {
+    std::optional<CloudMotion> motion;  ///< during the cloud that is placed
     std::optional<VoxelMap> map;
     std::vector<Eigen::Vector3f> samples;  ///< every stride-th point; not finite: not placed
 
@@ -223,9 +224,7 @@ class Aggregator {
   }
 
   void Add(int64_t stamp_ns, const std::vector<CloudPoint>& points) {
-    std::vector<CloudMotion> motions;
-    for (const Variant& variant : variants_) motions.emplace_back(variant.pose);
-
+    for (Variant& variant : variants_) variant.motion.emplace(variant.pose);
     const size_t placed_before = placed_, points_before = points_;
     for (const CloudPoint& point : points) {
       least_ns_ = std::min(least_ns_, point.time_after_ns);
@@ -233,29 +232,23 @@ class Aggregator {
       if (!point.p_S.allFinite()) continue;
       const auto range = static_cast<double>(point.p_S.norm());
       if (range == 0.0) continue;  // how many drivers write that nothing was seen
-      if (range < request_.min_range_m || range > request_.max_range_m)
+      if (range < request_.min_range_m || range > request_.max_range_m) {
         ++out_of_range_;
-      else
-        Add(stamp_ns + point.time_after_ns, point, &motions);
+        continue;
+      }
+      const bool is_sample = points_++ % stride_ == 0;
+      for (Variant& variant : variants_) {
+        if (!variant.map && !is_sample) continue;
+        const auto p_W = variant.motion->Place(stamp_ns + point.time_after_ns, point.p_S);
+        if (is_sample)
+          variant.samples.emplace_back(p_W.value_or(Eigen::Vector3d::Constant(NAN)).cast<float>());
+        if (p_W && variant.map) variant.map->Add(*p_W, point.intensity);
+        if (p_W && &variant == &variants_.back()) ++placed_;
+      }
     }
     if (points_ > points_before && placed_ == placed_before) ++left_out_;
     if (clouds_seen_++ == 0) begin_ns_ = stamp_ns;
     end_ns_ = stamp_ns;
-  }
-
-  void Add(int64_t t_ns, const CloudPoint& point, std::vector<CloudMotion>* motions) {
-    const bool is_sample = points_++ % stride_ == 0;
-    for (size_t v = 0; v < variants_.size(); ++v) {
-      Variant& variant = variants_[v];
-      if (!variant.map && !is_sample) continue;
-      const auto p_W = (*motions)[v].Place(t_ns, point.p_S);
-      if (is_sample)
-        variant.samples.push_back(
-            p_W ? Eigen::Vector3f(p_W->cast<float>())
-                : Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN()));
-      if (p_W && variant.map) variant.map->Add(*p_W, point.intensity);
-      if (p_W && v + 1 == variants_.size()) ++placed_;
-    }
   }
 
   std::string Refusal(const SessionData& data) const {
@@ -300,13 +293,14 @@ class Aggregator {
     std::string text =
         Format("\n  %-38s %12s %16s\n", "sharpness, better below", "map entropy", "planes [mm]");
     for (const Variant& variant : variants_) {
-      text += Format("  %-38s", variant.name.c_str());
-      if (IsCompared(variant)) {
-        text += Format(" %12.3f %16.1f\n", row->entropy, 1e3 * row->thickness);
-        ++row;
-      } else {
-        text += Format(" %.0f %% of points within the poses\n", 100 * variant.Share());
+      if (!IsCompared(variant)) {
+        text += Format("  %-38s %.0f %% of points within the poses\n", variant.name.c_str(),
+                       100 * variant.Share());
+        continue;
       }
+      text += Format("  %-38s %12.3f %16.1f\n", variant.name.c_str(), row->entropy,
+                     1e3 * row->thickness);
+      ++row;
     }
     return text + Format("  (within %g m around the same %zu points in each)\n", request_.radius_m,
                          sharpness.back().places);
