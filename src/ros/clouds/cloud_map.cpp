@@ -117,11 +117,12 @@ Eigen::Quaterniond ToRightAngles(const Eigen::Quaterniond& q) {
 
 std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
                                              const OfflineResult& offline) {
-  const Rigid3 T_MI = offline.result.imus[0].T_MI;
-  const Rigid3 guess =
-      sensor.guessed_T_MI.value_or(Rigid3{ToRightAngles(T_MI.q), Eigen::Vector3d::Zero()});
-  const Rigid3 T_MS = sensor.T_IS ? T_MI * *sensor.T_IS : *sensor.T_MS;
-  const Rigid3 guessed_T_MS = sensor.T_IS ? guess * *sensor.T_IS : *sensor.T_MS;
+  const auto mounted = [&](const Rigid3& T_MI) {
+    return sensor.T_IS ? T_MI * *sensor.T_IS : *sensor.T_MS;
+  };
+  const Rigid3 T_MI = offline.result.imus[0].T_MI, T_MS = mounted(T_MI);
+  const Rigid3 guessed_T_MS =
+      mounted(sensor.guessed_T_MI.value_or(Rigid3{ToRightAngles(T_MI.q), Eigen::Vector3d::Zero()}));
 
   const std::shared_ptr<const Solution> solution = offline.result.solution;
   const auto track = std::make_shared<const SessionTrajectory>(solution, 0);
