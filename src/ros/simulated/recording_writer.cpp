@@ -217,12 +217,6 @@ void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu
   Add("/" + name, gyro, offset, to_msg, records);
 }
 
-/// When what is stamped `first_ns` first is recorded.
-int64_t RecordedFrom(int64_t first_ns, const std::vector<PoseSample>& poses) {
-  const bool is_apart = !poses.empty() && std::abs(poses.front().t_ns - first_ns) > kDay;
-  return is_apart ? poses.front().t_ns : first_ns;
-}
-
 /// "imu", "imu1" and so on.
 std::string Numbered(const std::string& name, size_t k) {
   return k == 0 ? name : name + std::to_string(k);
@@ -263,23 +257,30 @@ std::string PoseTable(bool is_asl, const std::vector<PoseSample>& poses) {
 
 }  // namespace
 
+int64_t RecordOffset(int64_t first_ns, int64_t first_pose_ns) {
+  const int64_t offset = first_pose_ns - first_ns;
+  return std::abs(offset) > kDay ? offset : 0;
+}
+
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
   Records records;
   AddPoses(format.pose_type, data.poses, &records);
+  const auto offset_of = [&](int64_t first_ns) {
+    return data.poses.empty() ? 0 : RecordOffset(first_ns, data.poses.front().t_ns);
+  };
   for (size_t k = 0; k < data.pose_sensors.size(); ++k) {
     const std::vector<PoseSample>& poses = data.pose_sensors[k];
     if (poses.empty()) continue;
     const std::string name = Numbered("pose_sensor", k);
-    const int64_t first_ns = poses.front().t_ns;
     AddPosesAs<geometry_msgs::PoseStamped>(poses, &records, "/" + name, name + "_world",
-                                           RecordedFrom(first_ns, data.poses) - first_ns);
+                                           offset_of(poses.front().t_ns));
   }
   std::optional<int64_t> begin_ns;  // of recording the IMUs
   for (size_t i = 0; i < data.imus.size(); ++i) {
     const ImuData& imu = data.imus[i];
     if (imu.IsEmpty()) continue;
     const int64_t first_ns = (imu.gyro.empty() ? imu.accel : imu.gyro).front().t_ns;
-    if (!begin_ns) begin_ns = RecordedFrom(first_ns, data.poses);
+    if (!begin_ns) begin_ns = first_ns + offset_of(first_ns);
     AddImu(i == 0 ? format : BagFormat(), Numbered("imu", i), imu, *begin_ns - first_ns, &records);
   }
   const auto write_all = [&](Sink sink) {
