@@ -133,18 +133,6 @@ Eigen::Vector2d ChiSquares(const Calibration& result, const Errors& e) {
   return {SquaredDistance(e, reported), SquaredDistance(e, model)};
 }
 
-/// Bounds of a trial whose noises are those of the simulator and what is added.
-ErrorBounds Bounds(const Trial& trial, std::vector<SimulatorOptions> truths,
-                   const std::vector<SessionData>& recordings) {
-  for (SimulatorOptions& truth : truths) {
-    truth.position_std = std::hypot(truth.position_std, trial.pose_noise.position);
-    truth.rotation_std = std::hypot(truth.rotation_std, trial.pose_noise.rotation);
-    truth.gyro_std = std::hypot(truth.gyro_std, trial.imu_noise.gyro);
-    truth.accel_std = std::hypot(truth.accel_std, trial.imu_noise.accel);
-  }
-  return FindErrorBounds(truths, recordings);
-}
-
 /// What is true by the outcome of another trial.
 SimulatorOptions ParseOutcome(const YAML::Node& outcome) {
   const auto q = outcome["rotation"].as<std::array<double, 4>>();  // x, y, z, w
@@ -216,7 +204,13 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   if (!is_simulated) return;
   (*outcome)["chi2"] = YamlList(ChiSquares(result, e));
   if (options.method != Method::kJoint) return;
-  const ErrorBounds bounds = Bounds(trial, truths, recordings);
+  for (SimulatorOptions& truth : truths) {  // its noise is that of the simulator and what is added
+    truth.position_std = std::hypot(truth.position_std, trial.pose_noise.position);
+    truth.rotation_std = std::hypot(truth.rotation_std, trial.pose_noise.rotation);
+    truth.gyro_std = std::hypot(truth.gyro_std, trial.imu_noise.gyro);
+    truth.accel_std = std::hypot(truth.accel_std, trial.imu_noise.accel);
+  }
+  const ErrorBounds bounds = FindErrorBounds(truths, recordings);
   (*outcome)["bound"] = ListOf(bounds.as_joint);
   (*outcome)["least"] = ListOf(bounds.least);
 }
