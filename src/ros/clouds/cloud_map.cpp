@@ -57,19 +57,12 @@ int64_t ShiftByArrival(const RecordingInfo& info, const SessionData& data) {
 }
 
 Cube CubeOf(const Eigen::Vector3d& p, double size) {
-  const Eigen::Array3d place = (p.array() / size).floor();
-  return {static_cast<int64_t>(place.x()), static_cast<int64_t>(place.y()),
-          static_cast<int64_t>(place.z())};
+  const auto place = (p.array() / size).floor().cast<int64_t>().eval();
+  return {place.x(), place.y(), place.z()};
 }
 
-/// Those of the points that are used, by the cubes that they are in.
+/// Points of a map, by the cubes that they are in.
 using Cubes = std::map<Cube, std::vector<size_t>>;
-Cubes ToCubes(const std::vector<Eigen::Vector3f>& points, const std::vector<size_t>& used,
-              double size) {
-  Cubes cubes;
-  for (const size_t k : used) cubes[CubeOf(points[k].cast<double>(), size)].push_back(k);
-  return cubes;
-}
 
 /// Variances [m^2] of the points around point k along the principal axes; nothing when there are
 /// too few. `cubes`: of the size of the radius.
@@ -194,11 +187,16 @@ std::vector<Sharpness> CompareSharpness(const std::vector<std::vector<Eigen::Vec
   for (size_t k = 0; k < maps.front().size(); ++k)
     if (std::all_of(maps.begin(), maps.end(), [k](const auto& map) { return map[k].allFinite(); }))
       used.push_back(k);
+  const auto to_cubes = [&used](const std::vector<Eigen::Vector3f>& map, double size) {
+    Cubes cubes;
+    for (const size_t k : used) cubes[CubeOf(map[k].cast<double>(), size)].push_back(k);
+    return cubes;
+  };
   std::vector<Cubes> cubes;
-  for (const auto& map : maps) cubes.push_back(ToCubes(map, used, radius));
+  for (const auto& map : maps) cubes.push_back(to_cubes(map, radius));
   std::vector<Sharpness> sharpness(maps.size());
   std::vector<std::vector<double>> distances(maps.size());
-  const Cubes places = ToCubes(maps.back(), used, 0.5 * radius);  // one point of each
+  const Cubes places = to_cubes(maps.back(), 0.5 * radius);  // one point of each
   const size_t stride = places.size() / kPlaces + 1;
   size_t number = 0;
   for (const auto& [cube, inside] : places) {
