@@ -68,7 +68,7 @@ struct RealEffects {
   /// ratio of 0.2. T_MI is where it is without load.
   double mount_hz = 0.0;
   double g_sensitivity = 0.0;      ///< [rad/s per m/s^2] sigma of gyroscope by specific force
-  double temperature_drift = 0.0;  ///< [rad/s] change of the gyroscope's bias by warming up
+  double temperature_drift = 0.0;  ///< [rad/s] of the gyroscope, ten times [m/s^2] of the other
 
   // --- Source of the poses ---
 
@@ -82,7 +82,7 @@ struct RealEffects {
   /// [m] sigma of a tracker's positions, 20 a second, by which a filter corrects the poses that it
   /// carries on with an IMU whose accelerometer's scale is off by 0.5 %; poses have no other noise.
   double pose_updates = 0.0;
-  double pose_drift = 0.0;  ///< [m] sigma per axis after 1 m of way, as of odometry
+  double pose_drift = 0.0;  ///< [m] sigma per axis after 1 m of way, as of odometry; a tenth [rad]
 
   StreamEffects pose_stream, imu_stream;
 };
