@@ -191,8 +191,9 @@ void AddPoses(const std::string& type, const std::vector<PoseSample>& poses, Rec
 void CheckSameStamps(const ImuData& imu) {
   const auto is_same = [](const ImuSample& a, const ImuSample& b) { return a.t_ns == b.t_ns; };
   if (!std::equal(imu.gyro.begin(), imu.gyro.end(), imu.accel.begin(), imu.accel.end(), is_same))
-    Reject("an IMU on one topic or in one file needs the same stamps for its ", imu.gyro.size(),
-           " gyroscope and ", imu.accel.size(), " accelerometer samples");
+    Reject("an IMU on one topic or in one file needs the same stamps for its gyroscope and ",
+           "accelerometer samples, of which there are ", imu.gyro.size(), " and ",
+           imu.accel.size());
 }
 
 void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu, int64_t offset,
