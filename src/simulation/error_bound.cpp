@@ -40,17 +40,13 @@ double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 /// Derivatives of three measured values by the trajectory's corrections, at one instant, and by the
 /// other parameters.
 struct Derivatives {
+  using Others = Eigen::Matrix<double, 3, kBiases + 2 * 6>;
+
   Matrix3d d = Matrix3d::Zero(), ddd = Matrix3d::Zero();  ///< by d and d''
   Matrix3d phi = Matrix3d::Zero(), dphi = Matrix3d::Zero(), ddphi = Matrix3d::Zero();
-  std::vector<int> places;
-  Eigen::Matrix3Xd others;
-
-  void Add(int place, const Eigen::Matrix3Xd& columns) {
-    const Eigen::Index before = others.cols();
-    others.conservativeResize(3, before + columns.cols());
-    others.rightCols(columns.cols()) = columns;
-    for (int i = 0; i < columns.cols(); ++i) places.push_back(place + i);
-  }
+  /// By what has a place; of the biases only by those at two knots, from `bias_knot` on.
+  Others others = Others::Zero();
+  int bias_knot = 0;
 };
 
 /// Information of one recording on everything but its trajectory, which is eliminated.
@@ -95,24 +91,22 @@ class RecordingInformation {
     const TrueState before = trajectory_.At(t - kStep), after = trajectory_.At(t + kStep);
     Derivatives position, rotation;
     position.d.setIdentity();
-    position.Add(kPoseSmoothing, 0.5 * s.a_W);
-    position.Add(kPositionSmoothing, 0.5 * s.a_W);
-    position.Add(kPositionDelay, -s.v_W);
-    const auto higher = [](const Vector3d& third, const Vector3d& fourth) {
-      return (Eigen::Matrix<double, 3, 2>() << third / -6.0, fourth / 24.0).finished();
-    };
-    const auto of_position = higher((after.a_W - before.a_W) / (2.0 * kStep),
-                                    (after.a_W - 2.0 * s.a_W + before.a_W) / (kStep * kStep));
-    position.Add(kPoseCumulants, of_position);
-    position.Add(kPositionCumulants, of_position);
-    position.Add(kPoseScale, s.p_WM);
+    position.others.col(kPoseSmoothing) = 0.5 * s.a_W;
+    position.others.col(kPositionSmoothing) = 0.5 * s.a_W;
+    position.others.col(kPositionDelay) = -s.v_W;
+    const Vector3d third = (after.a_W - before.a_W) / (2.0 * kStep);
+    const Vector3d fourth = (after.a_W - 2.0 * s.a_W + before.a_W) / (kStep * kStep);
+    for (const int cumulants : {kPoseCumulants, kPositionCumulants})
+      position.others.middleCols<2>(cumulants) << third / -6.0, fourth / 24.0;
+    position.others.col(kPoseScale) = s.p_WM;
     rotation.phi.setIdentity();
-    rotation.Add(kPoseSmoothing, 0.5 * s.alpha_M);
+    rotation.others.col(kPoseSmoothing) = 0.5 * s.alpha_M;
     const Vector3d alpha_rate = (after.alpha_M - before.alpha_M) / (2.0 * kStep);
     const Vector3d alpha_curvature =
         (after.alpha_M - 2.0 * s.alpha_M + before.alpha_M) / (kStep * kStep);
-    rotation.Add(kPoseCumulants, higher(alpha_rate + 0.5 * s.omega_M.cross(s.alpha_M),
-                                        alpha_curvature + s.omega_M.cross(alpha_rate)));
+    rotation.others.middleCols<2>(kPoseCumulants)
+        << (alpha_rate + 0.5 * s.omega_M.cross(s.alpha_M)) / -6.0,
+        (alpha_curvature + s.omega_M.cross(alpha_rate)) / 24.0;
     Add(t, position, truth_.position_std);
     Add(t, rotation, truth_.rotation_std);
   }
@@ -123,13 +117,11 @@ class RecordingInformation {
     Derivatives gyro;
     gyro.phi = R_IM_ * Hat(s.omega_M);
     gyro.dphi = R_IM_;
-    gyro.Add(kRotation, Hat(omega_I));
-    gyro.Add(kTimeShift, alpha_I);
-    gyro.Add(kDrift, (t - 0.5 * truth_.duration_s) * alpha_I);
-    Eigen::Matrix<double, 3, 6> matrix = Eigen::Matrix<double, 3, 6>::Zero();
-    for (int row = 0, k = 0; row < 3; ++row)
-      for (int column = 0; column <= row; ++column) matrix(row, k++) = omega_I[column];
-    gyro.Add(kGyroMatrix, matrix);
+    gyro.others.middleCols<3>(kRotation) = Hat(omega_I);
+    gyro.others.col(kTimeShift) = alpha_I;
+    gyro.others.col(kDrift) = (t - 0.5 * truth_.duration_s) * alpha_I;
+    for (int row = 0, k = kGyroMatrix; row < 3; ++row)
+      for (int column = 0; column <= row; ++column) gyro.others(row, k++) = omega_I[column];
     AddBias(t, 0, &gyro);
     Add(t, gyro, truth_.gyro_std);
   }
@@ -157,36 +149,34 @@ class RecordingInformation {
                          by_alpha * Hat(s.alpha_M));
     accel.dphi = R_IM_ * (by_omega + by_alpha * omega);
     accel.ddphi = R_IM_ * by_alpha;
-    accel.Add(kTranslation, R_IM_ * (Hat(s.alpha_M) + omega * omega));
-    accel.Add(kRotation, Hat(force));
-    accel.Add(kDelay, -rate);
-    accel.Add(kTimeShift, rate);
-    accel.Add(kDrift, (t - 0.5 * truth_.duration_s) * rate);
-    accel.Add(kAccelSmoothing, (after - 2.0 * force + before) / (2.0 * kStep * kStep));
-    Eigen::Matrix<double, 3, 9> matrix = Eigen::Matrix<double, 3, 9>::Zero();
-    for (int row = 0; row < 3; ++row) matrix.block<1, 3>(row, 3 * row) = force.transpose();
-    accel.Add(kAccelMatrix, matrix);
+    const Matrix3d by_place = R_IM_ * (Hat(s.alpha_M) + omega * omega);
+    accel.others.middleCols<3>(kTranslation) = by_place;
+    accel.others.middleCols<3>(kRotation) = Hat(force);
+    accel.others.col(kDelay) = -rate;
+    accel.others.col(kTimeShift) = rate;
+    accel.others.col(kDrift) = (t - 0.5 * truth_.duration_s) * rate;
+    accel.others.col(kAccelSmoothing) = (after - 2.0 * force + before) / (2.0 * kStep * kStep);
+    for (int row = 0; row < 3; ++row)
+      accel.others.block<1, 3>(row, kAccelMatrix + 3 * row) = force.transpose();
     // Row: axis; column: component of its place in I.
-    const Matrix3d by_place = R_IM_ * (Hat(s.alpha_M) + omega * omega) * R_IM_.transpose();
-    Eigen::Matrix<double, 3, 6> places;
+    const Matrix3d by_place_I = by_place * R_IM_.transpose();
     for (int k = 0; k < 6; ++k)
-      places.col(k) =
-          by_place.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
-    accel.Add(kAccelPositions, places);
+      accel.others.col(kAccelPositions + k) =
+          by_place_I.cwiseProduct(AccelPositions(Vector6d::Unit(k)).transpose()).rowwise().sum();
     const Vector3d up = truth_.g_W.normalized(), u = up.unitOrthogonal();
     Matrix3d axes;
     axes << u, up.cross(u), up;
-    accel.Add(kGravity, -R_IM_ * R_MW * axes);
+    accel.others.middleCols<3>(kGravity) = -R_IM_ * R_MW * axes;
     AddBias(stamp, 3, &accel);
     Add(t, accel, truth_.accel_std);
   }
 
   void AddBias(double t, int first, Derivatives* derivatives) const {
     const double place = std::clamp(t / kBiasKnots, 0.0, bias_knots_ - 1.001);
-    const int knot = static_cast<int>(place);
-    const double share = place - knot;
-    derivatives->Add(kBiases + 6 * knot + first, (1.0 - share) * Matrix3d::Identity());
-    derivatives->Add(kBiases + 6 * (knot + 1) + first, share * Matrix3d::Identity());
+    derivatives->bias_knot = static_cast<int>(place);
+    const double share = place - derivatives->bias_knot;
+    derivatives->others.middleCols<3>(kBiases + first) = (1.0 - share) * Matrix3d::Identity();
+    derivatives->others.middleCols<3>(kBiases + 6 + first) = share * Matrix3d::Identity();
   }
 
   void AddWalks() {
@@ -213,14 +203,14 @@ class RecordingInformation {
           w(0, j) * by.phi + w(1, j) * by.dphi + w(2, j) * by.ddphi;
     }
     window /= sigma;
-    const Eigen::Matrix3Xd others = by.others / sigma;
-    const MatrixXd mixed = window.transpose() * others, rest = others.transpose() * others;
+    const auto others = (by.others / sigma).eval();
     windows_[static_cast<size_t>(first)] += window.transpose() * window;
-    for (size_t i = 0; i < by.places.size(); ++i) {
-      const auto column = static_cast<Eigen::Index>(i);
-      mixed_.col(by.places[i]).segment(kPoint * first, kWindow) += mixed.col(column);
-      for (size_t k = 0; k < by.places.size(); ++k)
-        others_(by.places[i], by.places[k]) += rest(column, static_cast<Eigen::Index>(k));
+    const auto mixed = (window.transpose() * others).eval();
+    const auto rest = (others.transpose() * others).eval();
+    const auto place_of = [&](int i) { return i < kBiases ? i : i + 6 * by.bias_knot; };
+    for (int i = 0; i < others.cols(); ++i) {
+      mixed_.col(place_of(i)).segment<kWindow>(kPoint * first) += mixed.col(i);
+      for (int k = 0; k < others.cols(); ++k) others_(place_of(i), place_of(k)) += rest(i, k);
     }
   }
 
@@ -230,18 +220,17 @@ class RecordingInformation {
   const double spacing_;
   const int size_;
   Matrix3d R_IM_;
-  std::vector<MatrixXd>
-      windows_;  ///< information of each span on the control points that act there
+  std::vector<MatrixXd> windows_;  ///< of each span on the control points that act there
   MatrixXd mixed_, others_;
 };
 
-/// Adds what is known beforehand: all of it, or as much as the priors of the joint solve say.
+/// With what is known beforehand: all of it, or as much as the priors of the joint solve say.
 /// `recordings`: place of the own parameters of each.
-void AddPriors(bool is_known, double accel_delay, const std::vector<int>& recordings,
-               MatrixXd* information) {
+MatrixXd WithPriors(bool is_known, double accel_delay, const std::vector<int>& recordings,
+                    MatrixXd information) {
   const auto add = [&](int place, double sigma) {
     const double used = is_known ? kKnown : sigma;
-    (*information)(place, place) += 1.0 / (used * used);
+    information(place, place) += 1.0 / (used * used);
   };
   for (const int own : recordings) {
     add(own + kDrift - kShared, kDriftPrior);
@@ -261,6 +250,7 @@ void AddPriors(bool is_known, double accel_delay, const std::vector<int>& record
   }
   add(kPoseScale, kPoseScalePrior);
   for (int k = 0; k < 6; ++k) add(kAccelPositions + k, kSizePrior);
+  return information;
 }
 
 ErrorNorms BoundOf(const MatrixXd& information) {
@@ -289,13 +279,9 @@ ErrorBounds FindErrorBounds(const std::vector<SimulatorOptions>& truths,
     information.bottomLeftCorner(own, kShared) = one.bottomLeftCorner(own, kShared);
     places.push_back(static_cast<int>(before));
   }
-  ErrorBounds bounds;
-  MatrixXd known = information;
-  AddPriors(true, truths[0].accel_delay_s, places, &known);
-  bounds.least = BoundOf(known);
-  AddPriors(false, truths[0].accel_delay_s, places, &information);
-  bounds.as_joint = BoundOf(information);
-  return bounds;
+  const double delay = truths[0].accel_delay_s;
+  return {BoundOf(WithPriors(true, delay, places, information)),
+          BoundOf(WithPriors(false, delay, places, information))};
 }
 
 }  // namespace imu_pose_calib

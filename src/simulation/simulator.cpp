@@ -245,7 +245,6 @@ std::vector<PoseSample> Poses(const SimulatorOptions& options, const TrueTraject
     poses[k].p_WM = (1.0 + effects.pose_scale) * mean.p +
                     noise * Gaussian(random, options.position_std) + slow_p[k] +
                     mean.q * (error * origin_M - origin_M);
-    if (effects.pose_drift == 0.0) continue;
     frame.MoveTo(mean.p, Vector3d::Zero(), Vector3d::Zero(), &drift);
     poses[k].q_WM = frame.T_VW.q * poses[k].q_WM;
     poses[k].p_WM = frame.T_VW.q * poses[k].p_WM + frame.T_VW.p;
@@ -363,22 +362,20 @@ std::vector<PoseSample> SensorPoses(const SimulatorOptions& options, size_t sens
     const double s = static_cast<double>(k) / own.rate_hz;
     const double t = s + own.clock_drift * (s - 0.5 * options.duration_s);  // pose clock
     const TrueState state = trajectory.At(t);
-    const Quaterniond q_WS = Quaterniond(state.R_WM) * own.T_MS.q;
-    const Vector3d p_WS = state.p_WM + state.R_WM * own.T_MS.p;
+    const Rigid3 T_WS{Quaterniond(state.R_WM) * own.T_MS.q, state.p_WM + state.R_WM * own.T_MS.p};
     Vector3d shift = Vector3d::Zero(), turn = Vector3d::Zero();
     const auto jumps = static_cast<size_t>(own.jumps) + 1;
     if (k > 0 && k * jumps / count != (k - 1) * jumps / count) {
       shift += 0.2 * RandomDirection(&random);
       turn += 0.1 * RandomDirection(&random);
     }
-    frame.MoveTo(p_WS, shift, turn, &random);
-    const Rigid3& T_VW = frame.T_VW;
+    frame.MoveTo(T_WS.p, shift, turn, &random);
+    const Rigid3 T_VS = frame.T_VW * T_WS;
     const bool off = is_off(random);
     PoseSample pose;
     pose.t_ns = options.start_ns + std::llround(1e9 * (s - own.time_shift_s));
-    pose.p_WM =
-        own.scale * (T_VW.q * p_WS + T_VW.p) + Gaussian(&random, off ? 0.1 : own.position_std);
-    pose.q_WM = T_VW.q * q_WS * Exp<double>(Gaussian(&random, off ? 0.3 : own.rotation_std));
+    pose.p_WM = own.scale * T_VS.p + Gaussian(&random, off ? 0.1 : own.position_std);
+    pose.q_WM = T_VS.q * Exp<double>(Gaussian(&random, off ? 0.3 : own.rotation_std));
     poses.push_back(pose);
   }
   return poses;

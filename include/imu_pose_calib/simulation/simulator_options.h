@@ -44,15 +44,14 @@ struct StreamEffects {
 };
 
 /// What recordings have beyond white noise and wandering biases, each by its strength. 0: not
-/// there. What they are called, and how strong they usually are: Effects().
+/// there. Effects() says more of each, and how strong it usually is.
 struct RealEffects {
   // --- True motion of the body, of which poses and IMU both tell ---
 
   /// [m/s^2] rms per axis from 20 to 80 Hz, and as much turning as gives that 0.2 m off.
   double vibration = 0.0;
   double rocking = 0.0;  ///< [rad/s] rms per axis from 20 to 80 Hz, about a point 0.2 m off
-  /// [m/s^2] peak of jolts of some 20 ms, 30 a minute, and as much turning as gives that 0.2 m off.
-  double shocks = 0.0;
+  double shocks = 0.0;   ///< [m/s^2] peak of jolts of some 20 ms, which turn the body the same way
   double gravity = 0.0;  ///< [m/s^2] by which it is stronger than SimulatorOptions::g_W
 
   // --- IMU ---
@@ -68,16 +67,13 @@ struct RealEffects {
   /// [Hz] resonance of the spring that holds the IMU, which moves but does not turn, with a damping
   /// ratio of 0.2. T_MI is where it is without load.
   double mount_hz = 0.0;
-  double g_sensitivity = 0.0;  ///< [rad/s per m/s^2] sigma of gyroscope by specific force
-  /// [rad/s] change of the gyroscope's bias by warming up, within minutes; of the accelerometer's
-  /// ten times as much [m/s^2].
-  double temperature_drift = 0.0;
+  double g_sensitivity = 0.0;      ///< [rad/s per m/s^2] sigma of gyroscope by specific force
+  double temperature_drift = 0.0;  ///< [rad/s] of the gyroscope, ten times [m/s^2] of the other
 
   // --- Source of the poses ---
 
-  double pose_scale = 0.0;  ///< by how much it exaggerates positions
-  /// [m] sigma per axis of errors that last for some 3 s; of the rotation as much [rad].
-  double slow_errors = 0.0;
+  double pose_scale = 0.0;   ///< by how much it exaggerates positions
+  double slow_errors = 0.0;  ///< [m] sigma per axis; of the rotation as much [rad]
   /// [m] from the centroid of the markers to M's origin, which errors of rotation move along.
   double marker_offset = 0.0;
   /// [s] poses are fused with the IMU: positions are means over this time, rotations means of those
@@ -86,9 +82,7 @@ struct RealEffects {
   /// [m] sigma of a tracker's positions, 20 a second, by which a filter corrects the poses that it
   /// carries on with an IMU whose accelerometer's scale is off by 0.5 %; poses have no other noise.
   double pose_updates = 0.0;
-  /// [m] sigma per axis of a walk of their frame after 1 m of way, as of odometry; a tenth of it
-  /// [rad].
-  double pose_drift = 0.0;
+  double pose_drift = 0.0;  ///< [m] sigma per axis after 1 m of way, as of odometry; a tenth [rad]
 
   StreamEffects pose_stream, imu_stream;
 };

@@ -57,19 +57,12 @@ int64_t ShiftByArrival(const RecordingInfo& info, const SessionData& data) {
 }
 
 Cube CubeOf(const Eigen::Vector3d& p, double size) {
-  const Eigen::Array3d place = (p.array() / size).floor();
-  return {static_cast<int64_t>(place.x()), static_cast<int64_t>(place.y()),
-          static_cast<int64_t>(place.z())};
+  const auto place = (p.array() / size).floor().cast<int64_t>().eval();
+  return {place.x(), place.y(), place.z()};
 }
 
-/// Those of the points that are used, by the cubes that they are in.
+/// Points of a map, by the cubes that they are in.
 using Cubes = std::map<Cube, std::vector<size_t>>;
-Cubes ToCubes(const std::vector<Eigen::Vector3f>& points, const std::vector<size_t>& used,
-              double size) {
-  Cubes cubes;
-  for (const size_t k : used) cubes[CubeOf(points[k].cast<double>(), size)].push_back(k);
-  return cubes;
-}
 
 /// Variances [m^2] of the points around point k along the principal axes; nothing when there are
 /// too few. `cubes`: of the size of the radius.
@@ -117,11 +110,12 @@ Eigen::Quaterniond ToRightAngles(const Eigen::Quaterniond& q) {
 
 std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
                                              const OfflineResult& offline) {
-  const Rigid3 T_MI = offline.result.imus[0].T_MI;
-  const Rigid3 guess =
-      sensor.guessed_T_MI.value_or(Rigid3{ToRightAngles(T_MI.q), Eigen::Vector3d::Zero()});
-  const Rigid3 T_MS = sensor.T_IS ? T_MI * *sensor.T_IS : *sensor.T_MS;
-  const Rigid3 guessed_T_MS = sensor.T_IS ? guess * *sensor.T_IS : *sensor.T_MS;
+  const auto mounted = [&](const Rigid3& T_MI) {
+    return sensor.T_IS ? T_MI * *sensor.T_IS : *sensor.T_MS;
+  };
+  const Rigid3 T_MI = offline.result.imus[0].T_MI, T_MS = mounted(T_MI);
+  const Rigid3 guessed_T_MS =
+      mounted(sensor.guessed_T_MI.value_or(Rigid3{ToRightAngles(T_MI.q), Eigen::Vector3d::Zero()}));
 
   const std::shared_ptr<const Solution> solution = offline.result.solution;
   const auto track = std::make_shared<const SessionTrajectory>(solution, 0);
@@ -154,16 +148,15 @@ std::vector<SensorPoses> PosesWithAndWithout(const SensorMount& sensor,
   return all;
 }
 
-const std::optional<Rigid3>& CloudMotion::At(int64_t stamp_ns) {
-  const auto [pose, is_new] = poses_.try_emplace(stamp_ns);
-  if (is_new) pose->second = pose_(stamp_ns);
-  return pose->second;
-}
-
 std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns, const Eigen::Vector3f& p_S) {
+  const auto at = [this](int64_t t_ns) -> const std::optional<Rigid3>& {
+    const auto [pose, is_new] = poses_.try_emplace(t_ns);
+    if (is_new) pose->second = pose_(t_ns);
+    return pose->second;
+  };
   const int64_t after_ns = stamp_ns % kStepNs, begin_ns = stamp_ns - after_ns;
-  const std::optional<Rigid3>&begin = At(begin_ns),
-        &end = At(after_ns > 0 ? begin_ns + kStepNs : begin_ns);
+  const std::optional<Rigid3>&begin = at(begin_ns),
+        &end = at(after_ns > 0 ? begin_ns + kStepNs : begin_ns);
   if (!begin || !end) return std::nullopt;
   const Eigen::Vector3d p = p_S.cast<double>();
   const double u = static_cast<double>(after_ns) / static_cast<double>(kStepNs);
@@ -173,23 +166,18 @@ std::optional<Eigen::Vector3d> CloudMotion::Place(int64_t stamp_ns, const Eigen:
 
 void VoxelMap::Add(const Eigen::Vector3d& p_W, float intensity) {
   if (!(p_W.array().abs() <= kFarthest).all())
-    throw InputError("a point is more than " + std::to_string(static_cast<int>(kFarthest)) +
-                     " m from the origin of the poses");
-  Sum& sum = cubes_[CubeOf(p_W, size_)];
-  sum.values += Eigen::Vector4d(p_W.x(), p_W.y(), p_W.z(), static_cast<double>(intensity));
-  ++sum.count;
+    Reject("a point is more than ", static_cast<int>(kFarthest), " m from the origin of the poses");
+  Sum& sum = cubes_.try_emplace(CubeOf(p_W, size_), Sum::Zero()).first->second;
+  sum += (Sum() << p_W, static_cast<double>(intensity), 1.0).finished();
   if (cubes_.size() > most_)
-    throw InputError("the map has more than " + std::to_string(most_) +
-                     " points; give a larger voxel, or a smaller max_range");
+    Reject("the map has more than ", most_, " points; give a larger voxel, or a smaller max_range");
 }
 
 std::vector<MapPoint> VoxelMap::Points() const {
-  std::vector<MapPoint> points;
-  points.reserve(cubes_.size());
-  for (const auto& [cube, sum] : cubes_) {
-    const Eigen::Vector4f mean = (sum.values / static_cast<double>(sum.count)).cast<float>();
-    points.push_back({mean[0], mean[1], mean[2], mean[3]});
-  }
+  std::vector<MapPoint> points(cubes_.size());
+  auto point = points.begin();
+  for (const auto& [cube, sum] : cubes_)
+    Eigen::Vector4f::Map((point++)->data()) = (sum.head<4>() / sum[4]).cast<float>();
   return points;
 }
 
@@ -199,11 +187,16 @@ std::vector<Sharpness> CompareSharpness(const std::vector<std::vector<Eigen::Vec
   for (size_t k = 0; k < maps.front().size(); ++k)
     if (std::all_of(maps.begin(), maps.end(), [k](const auto& map) { return map[k].allFinite(); }))
       used.push_back(k);
+  const auto to_cubes = [&used](const std::vector<Eigen::Vector3f>& map, double size) {
+    Cubes cubes;
+    for (const size_t k : used) cubes[CubeOf(map[k].cast<double>(), size)].push_back(k);
+    return cubes;
+  };
   std::vector<Cubes> cubes;
-  for (const auto& map : maps) cubes.push_back(ToCubes(map, used, radius));
+  for (const auto& map : maps) cubes.push_back(to_cubes(map, radius));
   std::vector<Sharpness> sharpness(maps.size());
   std::vector<std::vector<double>> distances(maps.size());
-  const Cubes places = ToCubes(maps.back(), used, 0.5 * radius);  // one point of each
+  const Cubes places = to_cubes(maps.back(), 0.5 * radius);  // one point of each
   const size_t stride = places.size() / kPlaces + 1;
   size_t number = 0;
   for (const auto& [cube, inside] : places) {

@@ -3,9 +3,9 @@
 #include <ros/ros.h>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <iostream>
-#include <limits>
 
 #include "imu_pose_calib/core/data/stamp_recovery.h"
 #include "imu_pose_calib/ros/clouds/cloud_map.h"
@@ -46,8 +46,6 @@ struct Request {
   double max_range_m = 200.0;
   double radius_m = 0.3;  ///< around a point, for the sharpness
   bool publish = false, quiet = false;
-
-  bool WantsUncalibrated() const { return publish || !uncalibrated.empty(); }
 };
 
 // --- Command line ---
@@ -97,15 +95,15 @@ po::options_description Describe(Request* request) {
 
 void CheckRange(const char* name, double value, double least, double most) {
   if (!(value >= least && value <= most))
-    throw InputError(std::string(name) + " = " + YamlNumber(value) + " must be within " +
-                     YamlNumber(least) + " and " + YamlNumber(most));
+    Reject(name, " = ", YamlNumber(value), " must be within ", YamlNumber(least), " and ",
+           YamlNumber(most));
 }
 
 /// Throws InputError when a map cannot be written there.
 void PlanMap(const char* name, const std::string& path, OutputFiles* outputs) {
   const std::filesystem::path file = path;
   if (file.extension() != ".pcd" || file.stem().empty())
-    throw InputError(std::string(name) + " '" + path + "' must end in .pcd");
+    Reject(name, " '", path, "' must end in .pcd");
   CheckFolderOf(name, path);
   outputs->Plan(name, path);
 }
@@ -142,80 +140,57 @@ void Complete(Request* request) {
 BagTopic ChooseClouds(const Bags& bags, const std::string& name) {
   if (!name.empty()) return bags.Find("cloud_topic", name, {kCloudType});
   const auto candidates = bags.Select([](const BagTopic& t) { return t.type == kCloudType; });
-  if (candidates.empty())
-    throw InputError(std::string("no topic of type ") + kCloudType + " in " + bags.Contents());
+  if (candidates.empty()) Reject("no topic of type ", kCloudType, " in ", bags.Contents());
   if (candidates.size() > 1)
-    throw InputError("several topics of clouds: " + Describe(candidates) +
-                     "; choose with cloud_topic");
+    Reject("several topics of clouds: ", Describe(candidates), "; choose with cloud_topic");
   return candidates[0];
 }
 
-/// The clouds of a recording.
-struct Clouds {
-  Bags bags;
-  BagTopic topic;
-  PointTime time = {};
-  bool has_intensity = false;
-  size_t points = 0;  ///< about how many there are in all
-
-  explicit Clouds(const Request& request)
-      : bags(request.recording.paths, request.recording.start_s, request.recording.duration_s),
-        topic(ChooseClouds(bags, request.cloud_topic)) {
+/// Puts the clouds of a recording together along several variants of the sensor's trajectory.
+class Aggregator {
+ public:
+  /// Finds the clouds, and how their points tell their times.
+  explicit Aggregator(const Request& request)
+      : request_(request),
+        bags_(request.recording.paths, request.recording.start_s, request.recording.duration_s),
+        topic_(ChooseClouds(bags_, request.cloud_topic)) {
     std::vector<sensor_msgs::PointCloud2> first;
-    bags.ForEach({topic.name}, [&](const BagMessage& message) {
+    bags_.ForEach({topic_.name}, [&](const BagMessage& message) {
       const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
       if (!cloud->data.empty()) first.push_back(*cloud);
       return first.size() < kFirstClouds;
     });
-    if (first.empty())
-      throw InputError("cloud_topic '" + topic.name + "' has no points in any cloud");
+    if (first.empty()) Reject("cloud_topic '", topic_.name, "' has no points in any cloud");
     Named(first.front(), [&] {
-      time = FindPointTime(first, request.point_time);
-      points = ReadCloud(first.front(), time).size() * topic.count;
-      has_intensity = HasIntensity(first.front());
+      time_ = FindPointTime(first, request.point_time);
+      stride_ = ReadCloud(first.front(), time_).size() * topic_.count / kSharpnessPoints + 1;
+      has_intensity_ = HasIntensity(first.front());
     });
   }
 
-  /// Calls `use(stamp_ns, points)` for each.
-  template <typename Use>
-  void ForEach(Use use) const {
-    bags.ForEach({topic.name}, [&](const BagMessage& message) {
+  /// Places all points by each of the variants, of which the last one makes the map.
+  void Place(const std::vector<SensorPoses>& variants) {
+    for (const SensorPoses& poses : variants) variants_.push_back({poses, {}, {}, {}});
+    variants_.back().map.emplace(request_.voxel_m);
+    if (request_.publish || !request_.uncalibrated.empty())
+      variants_.front().map.emplace(request_.voxel_m);
+    bags_.ForEach({topic_.name}, [&](const BagMessage& message) {
       const auto cloud = message.instantiate<sensor_msgs::PointCloud2>();
       Named(*cloud, [&] {
         if (cloud->header.stamp.isZero()) throw InputError("its stamp must be set");
-        use(ToNanoseconds(cloud->header.stamp), ReadCloud(*cloud, time));
+        Add(ToNanoseconds(cloud->header.stamp), ReadCloud(*cloud, time_));
       });
       return true;
     });
   }
 
-  /// Runs `run`; errors name topic and cloud.
-  template <typename Run>
-  void Named(const sensor_msgs::PointCloud2& cloud, Run run) const {
-    try {
-      run();
-    } catch (const InputError& error) {
-      throw InputError("cloud_topic '" + topic.name + "', cloud stamped " +
-                       Format("%.9f", cloud.header.stamp.toSec()) + ": " + error.what());
-    }
-  }
-};
-
-/// Puts clouds together, the last of the variants as the map.
-class Aggregator {
- public:
-  Aggregator(const Request& request, const std::vector<SensorPoses>& variants, const Clouds& clouds)
-      : request_(request), clouds_(clouds), stride_(clouds.points / kSharpnessPoints + 1) {
-    for (const SensorPoses& poses : variants) variants_.push_back({poses, {}, {}});
-    variants_.back().map.emplace(request.voxel_m);
-    if (request.WantsUncalibrated()) variants_.front().map.emplace(request.voxel_m);
-    clouds.ForEach(
-        [this](int64_t stamp_ns, const std::vector<CloudPoint>& points) { Add(stamp_ns, points); });
-  }
-
   std::vector<MapPoint> Map() const { return variants_.back().map->Points(); }
-  /// When it is wanted.
-  std::vector<MapPoint> Uncalibrated() const { return variants_.front().map->Points(); }
+  /// None when it is not wanted.
+  std::vector<MapPoint> Uncalibrated() const {
+    const std::optional<VoxelMap>& map = variants_.front().map;
+    return map ? map->Points() : std::vector<MapPoint>();
+  }
+  bool has_intensity() const { return has_intensity_; }
 
   /// What a person wants to know of the map. Throws DataError saying why if there is none.
   std::string Describe(const SessionData& data) const {
@@ -224,10 +199,32 @@ class Aggregator {
   }
 
  private:
-  void Add(int64_t stamp_ns, const std::vector<CloudPoint>& points) {
-    std::vector<CloudMotion> motions;
-    for (const Variant& variant : variants_) motions.emplace_back(variant.poses.pose);
+  struct Variant : SensorPoses {
+    std::optional<CloudMotion> motion;  ///< during the cloud that is placed
+    std::optional<VoxelMap> map;
+    std::vector<Eigen::Vector3f> samples;  ///< every stride-th point; not finite: not placed
 
+    /// Of the points that it places.
+    double Share() const {
+      const auto placed = std::count_if(samples.begin(), samples.end(),
+                                        [](const auto& p) { return p.allFinite(); });
+      return static_cast<double>(placed) / static_cast<double>(samples.size());
+    }
+  };
+
+  /// Runs `run`; errors name topic and cloud.
+  template <typename Run>
+  void Named(const sensor_msgs::PointCloud2& cloud, Run run) const {
+    try {
+      run();
+    } catch (const InputError& error) {
+      Reject("cloud_topic '", topic_.name, "', cloud stamped ",
+             Format("%.9f", cloud.header.stamp.toSec()), ": ", error.what());
+    }
+  }
+
+  void Add(int64_t stamp_ns, const std::vector<CloudPoint>& points) {
+    for (Variant& variant : variants_) variant.motion.emplace(variant.pose);
     const size_t placed_before = placed_, points_before = points_;
     for (const CloudPoint& point : points) {
       least_ns_ = std::min(least_ns_, point.time_after_ns);
@@ -235,29 +232,23 @@ class Aggregator {
       if (!point.p_S.allFinite()) continue;
       const auto range = static_cast<double>(point.p_S.norm());
       if (range == 0.0) continue;  // how many drivers write that nothing was seen
-      if (range < request_.min_range_m || range > request_.max_range_m)
+      if (range < request_.min_range_m || range > request_.max_range_m) {
         ++out_of_range_;
-      else
-        Place(stamp_ns + point.time_after_ns, point, &motions);
+        continue;
+      }
+      const bool is_sample = points_++ % stride_ == 0;
+      for (Variant& variant : variants_) {
+        if (!variant.map && !is_sample) continue;
+        const auto p_W = variant.motion->Place(stamp_ns + point.time_after_ns, point.p_S);
+        if (is_sample)
+          variant.samples.emplace_back(p_W.value_or(Eigen::Vector3d::Constant(NAN)).cast<float>());
+        if (p_W && variant.map) variant.map->Add(*p_W, point.intensity);
+        if (p_W && &variant == &variants_.back()) ++placed_;
+      }
     }
     if (points_ > points_before && placed_ == placed_before) ++left_out_;
     if (clouds_seen_++ == 0) begin_ns_ = stamp_ns;
     end_ns_ = stamp_ns;
-  }
-
-  void Place(int64_t t_ns, const CloudPoint& point, std::vector<CloudMotion>* motions) {
-    const bool is_sample = points_++ % stride_ == 0;
-    for (size_t v = 0; v < variants_.size(); ++v) {
-      Variant& variant = variants_[v];
-      if (!variant.map && !is_sample) continue;
-      const auto p_W = (*motions)[v].Place(t_ns, point.p_S);
-      if (is_sample)
-        variant.samples.push_back(
-            p_W ? Eigen::Vector3f(p_W->cast<float>())
-                : Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN()));
-      if (p_W && variant.map) variant.map->Add(*p_W, point.intensity);
-      if (p_W && v + 1 == variants_.size()) ++placed_;
-    }
   }
 
   std::string Refusal(const SessionData& data) const {
@@ -268,21 +259,20 @@ class Aggregator {
     return Format(
         "no point of the %zu clouds of '%s', stamped %.3f to %.3f s, is within the trajectory and "
         "min_range to max_range; cloud_clock is %s stamped %.3f to %.3f s",
-        clouds_seen_, clouds_.topic.name.c_str(), Seconds(begin_ns_), Seconds(end_ns_),
+        clouds_seen_, topic_.name.c_str(), Seconds(begin_ns_), Seconds(end_ns_),
         on_imu_clock ? "imu, which is" : "poses, which are", Seconds(*first), Seconds(*last));
   }
 
   std::string Counts() const {
-    const PointTime& time = clouds_.time;
     const size_t not_placed = points_ - placed_;
     return Wrap("clouds     ", Format("%zu of %s, %zu points, on the clock of the %s", clouds_seen_,
-                                      clouds_.topic.name.c_str(), points_,
+                                      topic_.name.c_str(), points_,
                                       request_.sensor.is_on_imu_clock ? "imu" : "poses")) +
            Wrap("times      ",
-                time.field.empty()
+                time_.field.empty()
                     ? "all points of a cloud at its stamp: they tell no times of their own"
                     : Format("field '%s', in %s: %.1f to %.1f ms after the stamp",
-                             time.field.c_str(), time.unit.c_str(), 1e3 * Seconds(least_ns_),
+                             time_.field.c_str(), time_.unit.c_str(), 1e3 * Seconds(least_ns_),
                              1e3 * Seconds(most_ns_))) +
            Wrap("left out   ",
                 Format("%zu clouds, %zu points (%.1f %%) without trajectory; %zu nearer than %g m "
@@ -303,38 +293,30 @@ class Aggregator {
     std::string text =
         Format("\n  %-38s %12s %16s\n", "sharpness, better below", "map entropy", "planes [mm]");
     for (const Variant& variant : variants_) {
-      text += Format("  %-38s", variant.poses.name.c_str());
-      if (IsCompared(variant)) {
-        text += Format(" %12.3f %16.1f\n", row->entropy, 1e3 * row->thickness);
-        ++row;
-      } else {
-        text += Format(" %.0f %% of points within the poses\n", 100 * variant.Share());
+      if (!IsCompared(variant)) {
+        text += Format("  %-38s %.0f %% of points within the poses\n", variant.name.c_str(),
+                       100 * variant.Share());
+        continue;
       }
+      text += Format("  %-38s %12.3f %16.1f\n", variant.name.c_str(), row->entropy,
+                     1e3 * row->thickness);
+      ++row;
     }
     return text + Format("  (within %g m around the same %zu points in each)\n", request_.radius_m,
                          sharpness.back().places);
   }
 
-  struct Variant {
-    SensorPoses poses;
-    std::optional<VoxelMap> map;
-    std::vector<Eigen::Vector3f> samples;  ///< every stride-th point; not finite: not placed
-
-    /// Of the points that it places.
-    double Share() const {
-      const auto placed = std::count_if(samples.begin(), samples.end(),
-                                        [](const auto& p) { return p.allFinite(); });
-      return static_cast<double>(placed) / static_cast<double>(samples.size());
-    }
-  };
   /// One that places less than half of the points is not worth to be compared.
   bool IsCompared(const Variant& variant) const {
     return variant.Share() >= 0.5 || &variant == &variants_.back();
   }
 
   const Request& request_;
-  const Clouds& clouds_;
-  const size_t stride_;
+  const Bags bags_;
+  const BagTopic topic_;
+  PointTime time_;
+  bool has_intensity_ = false;
+  size_t stride_ = 1;
 
   int64_t begin_ns_ = 0, end_ns_ = 0;      ///< stamps of the first and last cloud
   int64_t least_ns_ = 0, most_ns_ = 0;     ///< from the stamp of a cloud to those of its points
@@ -342,14 +324,6 @@ class Aggregator {
   size_t points_ = 0, placed_ = 0, out_of_range_ = 0;
   std::vector<Variant> variants_;
 };
-
-/// Offers a map until the publisher is gone.
-ros::Publisher Offer(ros::NodeHandle* node, const char* topic, const std::vector<MapPoint>& map,
-                     const std::string& world_frame) {
-  ros::Publisher publisher = node->advertise<sensor_msgs::PointCloud2>(topic, 1, true);
-  publisher.publish(ToMessage(map, world_frame));
-  return publisher;
-}
 
 /// Calibrates, and puts the clouds together through the trajectory of the solve, each point at its
 /// own time; what has no trajectory is left out. Judges the map's sharpness, with and without the
@@ -365,19 +339,18 @@ void Run(int argc, char** argv) {
   Complete(&request);
   auto guard = std::make_unique<InterruptGuard>();
   const Progress progress = ShowProgress(request.quiet);
-  const Clouds clouds(request);  // before it takes long
+  Aggregator aggregator(request);  // before it takes long
   OfflineResult offline = CalibrateOffline(request.recording, progress);
   if (progress) progress("clouds", std::nullopt);
-  const Aggregator aggregator(request, PosesWithAndWithout(request.sensor, offline), clouds);
+  aggregator.Place(PosesWithAndWithout(request.sensor, offline));
   const std::string text = aggregator.Describe(offline.sessions[0]);
   if (progress) progress("clouds", 0);
 
-  std::vector<MapPoint> map = aggregator.Map(), uncalibrated;
-  if (request.WantsUncalibrated()) uncalibrated = aggregator.Uncalibrated();
+  const std::vector<MapPoint> map = aggregator.Map(), uncalibrated = aggregator.Uncalibrated();
   for (const auto& [path, points] :
        {std::pair(request.output, &map), {request.uncalibrated, &uncalibrated}}) {
     if (path.empty()) continue;
-    offline.outputs->Write(path, ToPcd(*points, clouds.has_intensity));
+    offline.outputs->Write(path, ToPcd(*points, aggregator.has_intensity()));
     offline.written.push_back(path);
   }
   WriteResult(&offline);
@@ -385,9 +358,11 @@ void Run(int argc, char** argv) {
   if (!request.quiet) std::cout << text << WrittenTo(offline.written) << std::flush;
   if (!request.publish) return;
   ros::NodeHandle node("~");
-  const std::string& frame = offline.infos[0].world_frame;
-  const ros::Publisher publishers[] = {Offer(&node, "map", map, frame),
-                                       Offer(&node, "uncalibrated", uncalibrated, frame)};
+  std::vector<ros::Publisher> publishers;  // offer the maps as long as they are there
+  for (const auto& [topic, points] : {std::pair("map", &map), {"uncalibrated", &uncalibrated}}) {
+    publishers.push_back(node.advertise<sensor_msgs::PointCloud2>(topic, 1, true));
+    publishers.back().publish(ToMessage(*points, offline.infos[0].world_frame));
+  }
   ros::spin();
 }
 

@@ -133,31 +133,15 @@ Eigen::Vector2d ChiSquares(const Calibration& result, const Errors& e) {
   return {SquaredDistance(e, reported), SquaredDistance(e, model)};
 }
 
-/// Bounds of a trial whose noises are those of the simulator and what is added.
-ErrorBounds Bounds(const Trial& trial, std::vector<SimulatorOptions> truths,
-                   const std::vector<SessionData>& recordings) {
-  for (SimulatorOptions& truth : truths) {
-    truth.position_std = std::hypot(truth.position_std, trial.pose_noise.position);
-    truth.rotation_std = std::hypot(truth.rotation_std, trial.pose_noise.rotation);
-    truth.gyro_std = std::hypot(truth.gyro_std, trial.imu_noise.gyro);
-    truth.accel_std = std::hypot(truth.accel_std, trial.imu_noise.accel);
-  }
-  return FindErrorBounds(truths, recordings);
-}
-
-/// What a trial is measured against.
-struct Truth {
-  Rigid3 T_MI;
-  double time_shift = 0.0, accel_delay = 0.0;  ///< [s]
-};
-
-/// Of the outcome of another trial.
-Truth ParseOutcome(const YAML::Node& outcome) {
+/// What is true by the outcome of another trial.
+SimulatorOptions ParseOutcome(const YAML::Node& outcome) {
   const auto q = outcome["rotation"].as<std::array<double, 4>>();  // x, y, z, w
   const auto p = outcome["translation"].as<std::array<double, 3>>();
-  return {{Eigen::Quaterniond(q.data()), Eigen::Vector3d(p.data())},
-          outcome["time_shift"][0].as<double>(),
-          outcome["accel_delay"][0].as<double>()};
+  SimulatorOptions truth;
+  truth.T_MI = {Eigen::Quaterniond(q.data()), Eigen::Vector3d(p.data())};
+  truth.time_shift_s = outcome["time_shift"][0].as<double>();
+  truth.accel_delay_s = outcome["accel_delay"][0].as<double>();
+  return truth;
 }
 
 /// What evaluate reads of a calibration.
@@ -180,17 +164,14 @@ YAML::Node ListOf(const ErrorNorms& n) {
 /// there is a truth, norms of its errors. Throws DataError when the data are refused.
 void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   const bool is_simulated = trial.bag.empty();
-  std::vector<SimulatorOptions> truths;
+  std::vector<SimulatorOptions> truths;  // none: it is not known
   std::vector<SessionData> recordings;
-  Truth truth;
   if (is_simulated) {
     truths = Truths(trial);
-    for (const SimulatorOptions& options : truths) recordings.push_back(Simulate(options));
-    const TrueClock clock(truths[0]);
-    truth = {truths[0].T_MI, clock.time_shift_s, clock.accel_delay_s};
+    for (const SimulatorOptions& truth : truths) recordings.push_back(Simulate(truth));
   } else {
     recordings.push_back(std::move(bag));
-    if (!trial.reference.empty()) truth = ParseOutcome(YAML::Load(trial.reference));
+    if (!trial.reference.empty()) truths = {ParseOutcome(YAML::Load(trial.reference))};
   }
   for (size_t s = 0; s < recordings.size(); ++s) Disturb(trial, s, &recordings[s]);
 
@@ -200,8 +181,8 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   if (trial.is_guessed) {
     std::mt19937 random = RandomOf(Use::kGuess, trial.index);
     const Rigid3 away = RandomTransform(&random);
-    options.initial_rotation = truth.T_MI.q * away.q;
-    options.initial_translation = truth.T_MI.p + away.p;
+    options.initial_rotation = truths[0].T_MI.q * away.q;
+    options.initial_translation = truths[0].T_MI.p + away.p;
     (*outcome)["guess"] = YamlList(
         Eigen::Vector2d(Eigen::Quaterniond::Identity().angularDistance(away.q), away.p.norm()));
   }
@@ -212,16 +193,24 @@ void RunTrial(const Trial& trial, SessionData bag, YAML::Node* outcome) {
   const ImuCalibration& imu = result.imus[0];
   const ImuSession& clock = result.sessions[0].imus[0];
   Describe(imu, clock, outcome);
-  if (!is_simulated && trial.reference.empty()) return;
+  if (truths.empty()) return;
+  const Rigid3& T_MI = truths[0].T_MI;
+  const TrueClock true_clock(truths[0]);
   Errors e;
-  e << imu.T_MI.p - truth.T_MI.p, Log(Eigen::Quaterniond(truth.T_MI.q.conjugate() * imu.T_MI.q)),
-      clock.time_shift - truth.time_shift, imu.accel_delay - truth.accel_delay;
+  e << imu.T_MI.p - T_MI.p, Log(Eigen::Quaterniond(T_MI.q.conjugate() * imu.T_MI.q)),
+      clock.time_shift - true_clock.time_shift_s, imu.accel_delay - true_clock.accel_delay_s;
   (*outcome)["error"] =
       ListOf({e.head<3>().norm(), e.segment<3>(3).norm(), std::abs(e[6]), std::abs(e[7])});
   if (!is_simulated) return;
   (*outcome)["chi2"] = YamlList(ChiSquares(result, e));
   if (options.method != Method::kJoint) return;
-  const ErrorBounds bounds = Bounds(trial, truths, recordings);
+  for (SimulatorOptions& truth : truths) {  // its noise is that of the simulator and what is added
+    truth.position_std = std::hypot(truth.position_std, trial.pose_noise.position);
+    truth.rotation_std = std::hypot(truth.rotation_std, trial.pose_noise.rotation);
+    truth.gyro_std = std::hypot(truth.gyro_std, trial.imu_noise.gyro);
+    truth.accel_std = std::hypot(truth.accel_std, trial.imu_noise.accel);
+  }
+  const ErrorBounds bounds = FindErrorBounds(truths, recordings);
   (*outcome)["bound"] = ListOf(bounds.as_joint);
   (*outcome)["least"] = ListOf(bounds.least);
 }

@@ -76,7 +76,7 @@ po::options_description Describe(CommandLine* line) {
 }
 
 void Check(const std::string& option, double value, bool is_good, const std::string& condition) {
-  if (!is_good) throw InputError("--" + option + " = " + YamlNumber(value) + " " + condition);
+  if (!is_good) Reject("--", option, " = ", YamlNumber(value), " ", condition);
 }
 
 /// Completes and checks what the command line has filled in.
@@ -103,6 +103,7 @@ SimulatorOptions Simulator(const CommandLine& line) {
   }
   return simulator;
 }
+
 /// The output path without the ending of a bag, to which other endings are added.
 std::string Prefix(const CommandLine& line, bool is_bag) {
   const std::string &format = line.format, ending = "." + format;
@@ -113,11 +114,9 @@ std::string Prefix(const CommandLine& line, bool is_bag) {
     if (path.empty()) throw InputError("give the path to write; see simulate_bag --help");
     return path;
   }
-  if (!is_bag)
-    throw InputError("format '" + format + "' is unknown; must be bag, mcap, db3, asl or text");
+  if (!is_bag) Reject("format '", format, "' is unknown; must be bag, mcap, db3, asl or text");
   if (line.output == ending || !boost::ends_with(line.output, ending))
-    throw InputError("give the path of the bag to write, ending in " + ending +
-                     "; see simulate_bag --help");
+    Reject("give the path of the bag to write, ending in ", ending, "; see simulate_bag --help");
   return boost::erase_tail_copy(line.output, static_cast<int>(ending.size()));
 }
 
@@ -147,24 +146,18 @@ void WriteTruth(const TrajectoryTarget& target, const SimulatorOptions& options,
     instants.push_back({options.ImuStart() + std::llround(1e9 * s),
                         options.PoseTime(s) + delay + Wander(exact, s)});
   }
-  const auto samples = [&imu] {  // both sensors have the same stamps
+  TrajectoryOutput output{instants, state, false, "world", "imu"};
+  output.samples = [&imu] {  // both sensors have the same stamps
     std::vector<ImuTrack::Sample> both;
     for (size_t k = 0; k < imu.gyro.size(); ++k)
       both.push_back({imu.gyro[k].t_ns, imu.gyro[k].value, imu.accel[k].value});
     return both;
   };
-  WriteTrajectory(target,
-                  {instants,
-                   state,
-                   false,
-                   "world",
-                   "imu",
-                   samples,
-                   {options.gyro_std, options.accel_std},
-                   options.gyro_rate_hz,
-                   options.gyro_bias_walk,
-                   options.accel_bias_walk},
-                  outputs);
+  output.noise = {options.gyro_std, options.accel_std};
+  output.imu_rate_hz = options.gyro_rate_hz;
+  output.gyro_bias_walk = options.gyro_bias_walk;
+  output.accel_bias_walk = options.accel_bias_walk;
+  WriteTrajectory(target, output, outputs);
 }
 
 constexpr char kUsage[] =
@@ -182,10 +175,9 @@ void Run(int argc, char** argv) {
   const std::string prefix = Prefix(line, is_bag);
   const SimulatorOptions simulator = Simulator(line);
   if (line.imus < 1 || line.imus > 9 || (line.imus > 1 && !is_bag))
-    throw InputError("--imus = " + std::to_string(line.imus) +
-                     " must be 1 to 9, and 1 but for a bag");
+    Reject("--imus = ", line.imus, " must be 1 to 9, and 1 but for a bag");
   if (line.lidar && line.format != "bag")
-    throw InputError("--lidar does not go with the format " + line.format + ", must be bag");
+    Reject("--lidar does not go with the format ", line.format, ", must be bag");
   TrajectoryRequest truth;
   truth.path = line.truth;
   const std::vector<TrajectoryTarget> targets =

@@ -11,6 +11,7 @@
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/ros/io/conversions.h"
 #include "imu_pose_calib/ros/io/text.h"
+#include "imu_pose_calib/ros/simulated/recording_writer.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -90,16 +91,13 @@ sensor_msgs::PointCloud2 SimulatedLidar::Cloud(size_t k) const {
 
 void AppendLidar(const std::string& path, const SimulatorOptions& options) {
   const SimulatedLidar lidar(options);
-  // As those of the IMU: clocks that are days apart are recorded as if they had started together.
-  constexpr double kDay = 86400.0;  // [s]
-  const int64_t offset =
-      std::abs(options.time_shift_s) > kDay ? std::llround(1e9 * options.time_shift_s) : 0;
+  const int64_t offset = RecordOffset(lidar.Stamp(0), options.start_ns);
   try {
     rosbag::Bag bag(path, rosbag::bagmode::Append);
     for (size_t k = 0; k < lidar.Count(); ++k)
       bag.write("/points", FromNanoseconds(lidar.Stamp(k) + offset), lidar.Cloud(k));
   } catch (const rosbag::BagException& error) {
-    throw InputError("cannot write bag '" + path + "': " + error.what());
+    Reject("cannot write bag '", path, "': ", error.what());
   }
 }
 

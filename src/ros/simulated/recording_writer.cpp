@@ -161,9 +161,8 @@ template <typename Msg>
 void AddPosesAs(const std::vector<PoseSample>& poses, Records* records,
                 const std::string& topic = "/mocap/pose", const std::string& frame = "world",
                 int64_t offset = 0) {
-  Add(
-      topic, poses, offset, [&poses, frame](size_t k) { return ToPose<Msg>(poses[k], frame); },
-      records);
+  const auto to_msg = [&poses, frame](size_t k) { return ToPose<Msg>(poses[k], frame); };
+  Add(topic, poses, offset, to_msg, records);
 }
 
 void AddPoses(const std::string& type, const std::vector<PoseSample>& poses, Records* records) {
@@ -174,31 +173,27 @@ void AddPoses(const std::string& type, const std::vector<PoseSample>& poses, Rec
     return AddPosesAs<PoseWithCovarianceStamped>(poses, records);
   if (type == "Odometry") return AddPosesAs<nav_msgs::Odometry>(poses, records);
   if (type != "tf")
-    throw InputError("pose type '" + type +
-                     "' is unknown; must be PoseStamped, TransformStamped, "
-                     "PoseWithCovarianceStamped, Odometry or tf");
-  const auto fixed = [&poses](size_t k) {
+    Reject("pose type '", type,
+           "' is unknown; must be PoseStamped, TransformStamped, PoseWithCovarianceStamped, "
+           "Odometry or tf");
+  const auto fixed = [](Sink* sink, int64_t t_ns) {
     tf2_msgs::TFMessage msg;
-    msg.transforms = {ToLink(poses[k].t_ns, 0, BaseInWorld())};
-    return msg;
+    msg.transforms = {ToLink(t_ns, 0, BaseInWorld())};
+    sink->Write("/tf_static", t_ns, msg);
   };
-  if (!poses.empty()) Add("/tf_static", std::vector{poses.front()}, 0, fixed, records);
-  Add(
-      "/tf", poses, 0, [&poses](size_t k) { return ToTf(k, poses); }, records);
+  if (!poses.empty()) records->emplace(poses.front().t_ns, fixed);
+  const auto to_msg = [&poses](size_t k) { return ToTf(k, poses); };
+  Add("/tf", poses, 0, to_msg, records);
 }
 
 /// Throws InputError unless gyroscope and accelerometer samples have the same stamps, as one topic
 /// or file for both needs.
 void CheckSameStamps(const ImuData& imu) {
-  const std::vector<ImuSample>&gyro = imu.gyro, &accel = imu.accel;
-  if (gyro.size() != accel.size())
-    Throw<InputError>(
-        "an IMU on one topic or in one file needs as many gyroscope as accelerometer samples, not ",
-        gyro.size(), " and ", accel.size());
   const auto is_same = [](const ImuSample& a, const ImuSample& b) { return a.t_ns == b.t_ns; };
-  if (!std::equal(gyro.begin(), gyro.end(), accel.begin(), is_same))
-    throw InputError(
-        "an IMU on one topic or in one file needs the same stamps for gyroscope and accelerometer");
+  if (!std::equal(imu.gyro.begin(), imu.gyro.end(), imu.accel.begin(), imu.accel.end(), is_same))
+    Reject("an IMU on one topic or in one file needs the same stamps for its gyroscope and ",
+           "accelerometer samples, of which there are ", imu.gyro.size(), " and ",
+           imu.accel.size());
 }
 
 void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu, int64_t offset,
@@ -212,8 +207,7 @@ void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu
     return add_split([&gyro, name](size_t k) { return ToVector(gyro[k], name); },
                      [&accel, name](size_t k) { return ToVector(accel[k], name); });
   if (format.imu_type != "Imu")
-    throw InputError("imu type '" + format.imu_type + "' is unknown; must be Imu or " +
-                     "Vector3Stamped");
+    Reject("imu type '", format.imu_type, "' is unknown; must be Imu or Vector3Stamped");
   if (format.split_imu)
     return add_split([&gyro, name](size_t k) { return ToImu(&gyro[k], nullptr, name); },
                      [&accel, name](size_t k) { return ToImu(nullptr, &accel[k], name); });
@@ -222,28 +216,9 @@ void AddImu(const BagFormat& format, const std::string& name, const ImuData& imu
   Add("/" + name, gyro, offset, to_msg, records);
 }
 
-/// The first stamp of the gyroscope of the first IMU that has samples of it.
-std::optional<int64_t> FirstGyro(const SessionData& data) {
-  for (const ImuData& imu : data.imus)
-    if (!imu.gyro.empty()) return imu.gyro.front().t_ns;
-  return std::nullopt;
-}
-
-/// What to add to stamps that begin with `first_ns` to get record times.
-int64_t RecordOffset(const SessionData& data, std::optional<int64_t> first_ns) {
-  if (data.poses.empty() || !first_ns) return 0;
-  const int64_t offset = data.poses.front().t_ns - *first_ns;
-  return std::abs(offset) > kDay ? offset : 0;
-}
-
-void AddPoseSensors(const SessionData& data, Records* records) {
-  for (size_t k = 0; k < data.pose_sensors.size(); ++k) {
-    const std::vector<PoseSample>& poses = data.pose_sensors[k];
-    if (poses.empty()) continue;
-    const std::string name = "pose_sensor" + (k == 0 ? "" : std::to_string(k));
-    AddPosesAs<geometry_msgs::PoseStamped>(poses, records, "/" + name, name + "_world",
-                                           RecordOffset(data, poses.front().t_ns));
-  }
+/// "imu", "imu1" and so on.
+std::string Numbered(const std::string& name, size_t k) {
+  return k == 0 ? name : name + std::to_string(k);
 }
 
 // --- Text files ---
@@ -265,35 +240,47 @@ std::string SensorTable(const std::string& header, const std::vector<ImuSample>&
   return table.text();
 }
 
-std::string AslPoses(const std::vector<PoseSample>& poses) {
-  TextTable table(
-      "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],"
-      "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n",
-      ',');
-  for (const PoseSample& pose : poses)
-    table.AddRow(std::to_string(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
-  return table.text();
-}
-
-std::string TumPoses(const std::vector<PoseSample>& poses) {
-  TextTable table("# timestamp tx ty tz qx qy qz qw\n", ' ');
-  for (const PoseSample& pose : poses)
-    table.AddRow(SecondsText(pose.t_ns), pose.p_WM, pose.q_WM.coeffs());
+std::string PoseTable(bool is_asl, const std::vector<PoseSample>& poses) {
+  TextTable table(is_asl ? "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],"
+                           "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n"
+                         : "# timestamp tx ty tz qx qy qz qw\n",
+                  is_asl ? ',' : ' ');
+  for (const PoseSample& pose : poses) {
+    if (is_asl)
+      table.AddRow(std::to_string(pose.t_ns), pose.p_WM, pose.q_WM.w(), pose.q_WM.vec());
+    else
+      table.AddRow(SecondsText(pose.t_ns), pose.p_WM, pose.q_WM.coeffs());
+  }
   return table.text();
 }
 
 }  // namespace
 
+int64_t RecordOffset(int64_t first_ns, int64_t first_pose_ns) {
+  const int64_t offset = first_pose_ns - first_ns;
+  return std::abs(offset) > kDay ? offset : 0;
+}
+
 void WriteBag(const std::string& path, const SessionData& data, const BagFormat& format) {
   Records records;
   AddPoses(format.pose_type, data.poses, &records);
-  AddPoseSensors(data, &records);
-  const int64_t offset = RecordOffset(data, FirstGyro(data));
+  const auto offset_of = [&](int64_t first_ns) {
+    return data.poses.empty() ? 0 : RecordOffset(first_ns, data.poses.front().t_ns);
+  };
+  for (size_t k = 0; k < data.pose_sensors.size(); ++k) {
+    const std::vector<PoseSample>& poses = data.pose_sensors[k];
+    if (poses.empty()) continue;
+    const std::string name = Numbered("pose_sensor", k);
+    AddPosesAs<geometry_msgs::PoseStamped>(poses, &records, "/" + name, name + "_world",
+                                           offset_of(poses.front().t_ns));
+  }
+  std::optional<int64_t> begin_ns;  // of recording the IMUs
   for (size_t i = 0; i < data.imus.size(); ++i) {
     const ImuData& imu = data.imus[i];
-    const std::string name = "imu" + (i == 0 ? "" : std::to_string(i));
-    const int64_t later = imu.gyro.empty() ? 0 : imu.gyro.front().t_ns - *FirstGyro(data);
-    AddImu(i == 0 ? format : BagFormat(), name, imu, offset - later, &records);
+    if (imu.IsEmpty()) continue;
+    const int64_t first_ns = (imu.gyro.empty() ? imu.accel : imu.gyro).front().t_ns;
+    if (!begin_ns) begin_ns = first_ns + offset_of(first_ns);
+    AddImu(i == 0 ? format : BagFormat(), Numbered("imu", i), imu, *begin_ns - first_ns, &records);
   }
   const auto write_all = [&](Sink sink) {
     for (const auto& [t_ns, write] : records) write(&sink, t_ns);
@@ -307,7 +294,7 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
     rosbag::Bag bag(path, rosbag::bagmode::Write);
     write_all({&bag, nullptr});
   } catch (const rosbag::BagException& error) {
-    throw InputError("cannot write bag '" + path + "': " + error.what());
+    Reject("cannot write bag '", path, "': ", error.what());
   }
 }
 
@@ -318,20 +305,20 @@ void WriteAslFolder(const std::string& folder, const SessionData& data) {
     files.Write(folder + "/" + sensor + "/data.csv", table);
   };
   files.MakeFolder(folder);
-  write("mocap0", AslPoses(data.poses));
+  write("mocap0", PoseTable(true, data.poses));
   write("imu0", ImuTable(true, data.imus[0]));
   for (size_t k = 0; k < data.pose_sensors.size(); ++k)
-    write("pose_sensor" + std::to_string(k), AslPoses(data.pose_sensors[k]));
+    write("pose_sensor" + std::to_string(k), PoseTable(true, data.pose_sensors[k]));
   files.Commit();
 }
 
 void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu) {
   OutputFiles files;
   const ImuData& imu = data.imus[0];
-  files.Write(prefix + ".poses.txt", TumPoses(data.poses));
+  files.Write(prefix + ".poses.txt", PoseTable(false, data.poses));
   for (size_t k = 0; k < data.pose_sensors.size(); ++k)
-    files.Write(prefix + ".pose_sensor" + (k == 0 ? "" : std::to_string(k)) + ".txt",
-                TumPoses(data.pose_sensors[k]));
+    files.Write(prefix + Numbered(".pose_sensor", k) + ".txt",
+                PoseTable(false, data.pose_sensors[k]));
   if (split_imu) {
     files.Write(prefix + ".gyro.csv", SensorTable("timestamp,gx,gy,gz\n", imu.gyro));
     files.Write(prefix + ".accel.csv", SensorTable("timestamp,ax,ay,az\n", imu.accel));

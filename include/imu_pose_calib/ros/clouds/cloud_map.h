@@ -54,8 +54,6 @@ class CloudMotion {
   std::optional<Eigen::Vector3d> Place(int64_t stamp_ns, const Eigen::Vector3f& p_S);
 
  private:
-  const std::optional<Rigid3>& At(int64_t stamp_ns);
-
   SensorPoseAt pose_;
   std::map<int64_t, std::optional<Rigid3>> poses_;
 };
@@ -76,10 +74,7 @@ class VoxelMap {
   std::vector<MapPoint> Points() const;
 
  private:
-  struct Sum {
-    Eigen::Vector4d values = Eigen::Vector4d::Zero();  ///< as in MapPoint
-    size_t count = 0;
-  };
+  using Sum = Eigen::Matrix<double, 5, 1>;  ///< of points as in MapPoint, and their number
 
   double size_;
   size_t most_;

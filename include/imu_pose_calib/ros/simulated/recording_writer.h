@@ -22,12 +22,15 @@ struct BagFormat {
   std::optional<Ros2Format> ros2 = std::nullopt;  ///< none: a bag of ROS 1
 };
 
+/// What to add to the stamps of a sensor to get their record times: 0 or, when its clock starts
+/// more than a day from that of the poses, what lets both start together. Of the first stamps [ns].
+int64_t RecordOffset(int64_t first_ns, int64_t first_pose_ns);
+
 /// Writes poses on /mocap/pose or /tf (frame world, child marker) and IMU samples (frame imu);
 /// further IMUs that have samples on /imu1 (frame imu1) and so on, as Imu, recorded as if they had
 /// all started together; pose sensors on /pose_sensor (frame pose_sensor_world), /pose_sensor1 and
 /// so on, as PoseStamped.
-/// Record times are header times; when the clocks start more than a day apart, the IMU's record
-/// times, or a pose sensor's, are moved to the pose clock as if both had started together.
+/// Record times are header times plus RecordOffset().
 ///
 /// Throws InputError when the file cannot be written, when a type is unknown, or when one
 /// topic is to hold gyroscope and accelerometer samples of different stamps.
