@@ -64,8 +64,9 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
   Eigen::ArrayXd residual = Eigen::ArrayXd::Zero(size), motion = residual, count = residual;
   for (Eigen::Index k = 0; k < size; ++k) {
     for (const RatePair& pair : segments[static_cast<size_t>(k)]) {
-      residual[k] += alignment.Residual(pair).squaredNorm();
-      motion[k] += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
+      const Eigen::Vector3d& gyro_I = pair.gyro->value;
+      residual[k] += alignment.Residual(gyro_I, pair.marker.omega_M).squaredNorm();
+      motion[k] += (gyro_I - alignment.gyro_bias).squaredNorm();
       count[k] += 1.0;
     }
   }
@@ -100,7 +101,8 @@ std::vector<SegmentRates> PairRatesBySegment(const PoseTrajectory& trajectory,
                                              const ConditionedData& data, const ConditionedImu& imu,
                                              double time_shift) {
   std::vector<SegmentRates> segments(data.segments.size());
-  for (const RatePair& pair : PairRates(trajectory, imu.gyro, time_shift)) {
+  for (const RatePair& pair : PairRates(trajectory, imu.gyro, Stride(imu.gyro.size()),
+                                        [&](double t) { return t + time_shift; })) {
     size_t k = 0;
     while (data.poses[data.segments[k].end - 1].t < pair.t) ++k;
     segments[k].push_back(pair);
@@ -247,11 +249,11 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
   start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
-  ClockLine line{best.time_shift, 0.0, samples.MiddleOfGyro()};
+  start.time_shift = best.time_shift;
+  start.clock_reference = samples.MiddleOfGyro();
   if (options.method == Method::kJoint && options.estimate_clock_walk &&
       options.estimate_time_shift)
-    start.walk = FitClockWalk(trajectory, samples.gyro, &line);
-  start.time_shift = line.time_shift;
+    FitClockWalk(trajectory, samples.gyro, &start);
   FitLeverArm(trajectory, samples.accel, options.GravityMagnitude(), options.estimate_accel_delay,
               options.Threads(), &start);
   if (!options.estimate_translation) start.p_MI = *options.initial_translation;

@@ -90,15 +90,12 @@ double Evidence(double correlation, double n) {
 size_t Stride(size_t size) { return std::max<size_t>(1, size / kMaxSamples); }
 
 std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
-                                const std::vector<TimedSample>& gyro, double time_shift,
-                                bool inverted) {
+                                const std::vector<TimedSample>& gyro, size_t stride,
+                                const std::function<double(double t)>& pose_time) {
   std::vector<RatePair> pairs;
-  for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
-    const double t = gyro[i].t + time_shift;
-    MarkerRotation<double> marker;
-    if (!trajectory.EvaluateRotation(t, &marker)) continue;
-    if (inverted) marker.omega_M = -(marker.q_WM * marker.omega_M);
-    pairs.push_back({t, marker.omega_M, gyro[i].value});
+  for (size_t i = 0; i < gyro.size(); i += stride) {
+    RatePair pair{&gyro[i], pose_time(gyro[i].t), {}};
+    if (trajectory.EvaluateRotation(pair.t, &pair.marker)) pairs.push_back(pair);
   }
   return pairs;
 }
@@ -109,8 +106,8 @@ RateAlignment AlignRates(const std::vector<RatePair>& pairs) {
   if (pairs.size() < 10) return alignment;
   Eigen::Matrix3Xd marker(3, pairs.size()), gyro(3, pairs.size());
   for (size_t i = 0; i < pairs.size(); ++i) {
-    marker.col(static_cast<Eigen::Index>(i)) = pairs[i].omega_M;
-    gyro.col(static_cast<Eigen::Index>(i)) = pairs[i].gyro_I;
+    marker.col(static_cast<Eigen::Index>(i)) = pairs[i].marker.omega_M;
+    gyro.col(static_cast<Eigen::Index>(i)) = pairs[i].gyro->value;
   }
   const Eigen::Isometry3d T_MI(Eigen::umeyama(gyro, marker, false));
   alignment.q_MI = Eigen::Quaterniond(T_MI.linear());
@@ -124,10 +121,6 @@ RateAlignment AlignRates(const std::vector<RatePair>& pairs) {
       marker.cwiseProduct(T_MI.linear() * gyro).sum() / std::sqrt(std::max(sum_M * sum_I, 1e-24));
   alignment.explained = correlation * std::abs(correlation);
   return alignment;
-}
-
-Eigen::Vector3d RateAlignment::Residual(const RatePair& pair) const {
-  return pair.gyro_I - gyro_bias - q_MI.conjugate() * pair.omega_M;
 }
 
 std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
@@ -180,7 +173,11 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<Tim
                          const std::vector<double>& time_shifts, bool inverted, int threads) {
   std::vector<RateAlignment> all(time_shifts.size());
   InParallel(threads, all.size(), [&](size_t k) {
-    all[k] = AlignRates(PairRates(trajectory, gyro, time_shifts[k], inverted));
+    auto pairs = PairRates(trajectory, gyro, Stride(gyro.size()),
+                           [&](double t) { return t + time_shifts[k]; });
+    for (RatePair& pair : pairs)
+      if (inverted) pair.marker.omega_M = -(pair.marker.q_WM * pair.marker.omega_M);
+    all[k] = AlignRates(pairs);
     all[k].time_shift = time_shifts[k];
   });
   const auto evidence = [](const RateAlignment& a) {
