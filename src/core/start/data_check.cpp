@@ -207,12 +207,14 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
   std::vector<Equations> blocks(1 +
                                 static_cast<size_t>((data.gyro.back().t - begin) / kDriftBlock));
   const Eigen::Matrix3d R_IM = start.q_MI.conjugate().toRotationMatrix();
-  double motion = 0.0, residual = 0.0, count = 0.0;
-  for (size_t i = 0; i < data.gyro.size(); i += Stride(data.gyro.size())) {
-    const TimedSample& s = data.gyro[i];
-    MarkerRotation<double> marker;
-    if (!trajectory.EvaluateRotation(s.t + start.time_shift, &marker)) continue;
-    const Eigen::Vector3d omega_I = R_IM * marker.omega_M, alpha_I = R_IM * marker.alpha_M;
+  const auto pairs = PairRates(trajectory, data.gyro, Stride(data.gyro.size()),
+                               [&](double t) { return t + start.time_shift; });
+  if (pairs.size() < 100) return;
+  double motion = 0.0, residual = 0.0;
+  for (const RatePair& pair : pairs) {
+    const TimedSample& s = *pair.gyro;
+    const Eigen::Vector3d omega_I = R_IM * pair.marker.omega_M;
+    const Eigen::Vector3d alpha_I = R_IM * pair.marker.alpha_M;
     const Eigen::Vector3d turn = s.value - start.gyro_bias, r = turn - omega_I;
     Eigen::Matrix<double, 3, 8> J;
     J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
@@ -221,9 +223,7 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
     block.b += J.transpose().lazyProduct(r);
     residual += r.squaredNorm();
     motion += turn.squaredNorm();
-    count += 1.0;
   }
-  if (count < 100.0) return;
   Equations all;
   for (const Equations& block : blocks) {
     all.H += block.H;
@@ -406,11 +406,6 @@ void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
                               Number(match.drift_ppm_std) + " ppm, " + Number(1e3 * drifted) +
                               " ms over the recording (bound: " + Number(1e3 * kLeastTime) +
                               " ms): set estimate_clock_drift: true");
-}
-
-const char* ToString(DataVerdict verdict) {
-  constexpr const char* kNames[] = {"good", "usable", "record again"};
-  return kNames[static_cast<int>(verdict)];
 }
 
 }  // namespace imu_pose_calib

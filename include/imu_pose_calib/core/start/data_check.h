@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -46,6 +47,9 @@ struct StreamCheck {
 };
 
 enum class DataVerdict { kGood, kUsable, kRecordAgain };
+inline const char* ToString(DataVerdict verdict) {
+  return std::array{"good", "usable", "record again"}[static_cast<size_t>(verdict)];
+}
 
 /// The same of one IMU.
 struct ImuCheck {
@@ -97,8 +101,5 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
 /// drift where no drift is estimated.
 void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
                 const PoseTrajectory& trajectory, const Start& start, size_t imu, DataCheck* check);
-
-/// "good", "usable", "record again".
-const char* ToString(DataVerdict verdict);
 
 }  // namespace imu_pose_calib
