@@ -76,15 +76,15 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
 }
 
 void ReportData(const DataCheck& check, SessionCalibration* session) {
-  session->poses = check.poses_report;
+  session->poses = check.poses.report;
   session->segments = check.segments;
   session->gaps = check.gaps;
   session->jumps = check.jumps;
   session->imus.resize(check.imus.size());
   for (size_t i = 0; i < check.imus.size(); ++i) {
     session->imus[i].is_present = check.imus[i].gyro.count > 0;
-    session->imus[i].gyro = check.imus[i].gyro_report;
-    session->imus[i].accel = check.imus[i].accel_report;
+    session->imus[i].gyro = check.imus[i].gyro.report;
+    session->imus[i].accel = check.imus[i].accel.report;
   }
 }
 

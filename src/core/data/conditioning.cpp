@@ -4,6 +4,7 @@
 #include <limits>
 #include <sstream>
 #include <string>
+#include <tuple>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
@@ -293,9 +294,8 @@ void CheckAccelerometerUnit(const std::string& stream, const std::vector<TimedSa
 }
 
 /// `of`: see OfImu().
-ConditionedImu ConditionImu(const CalibrationOptions& options, const std::string& of,
-                            const ImuData& data) {
-  ConditionedImu imu;
+void ConditionImu(const CalibrationOptions& options, const std::string& of, const ImuData& data,
+                  ConditionedImu* imu) {
   const auto clean = [&](const std::string& stream, const std::vector<ImuSample>& samples,
                          StreamReport* report) {
     auto kept = Clean(stream, options.max_bad_fraction, samples, report);
@@ -304,15 +304,14 @@ ConditionedImu ConditionImu(const CalibrationOptions& options, const std::string
     RemoveSpikes(&kept, report);
     return kept;
   };
-  const auto gyro = clean("gyroscope" + of, data.gyro, &imu.gyro_report);
-  const auto accel = clean("accelerometer" + of, data.accel, &imu.accel_report);
-  imu.epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
-  imu.gyro = ToSeconds(gyro, imu.epoch_ns);
-  imu.accel = ToSeconds(accel, imu.epoch_ns);
-  CheckDuration("gyroscope" + of, imu.gyro, options.min_overlap_s, &imu.gyro_report);
-  CheckDuration("accelerometer" + of, imu.accel, options.min_overlap_s, &imu.accel_report);
-  CheckAccelerometerUnit("accelerometer" + of, imu.accel, options.GravityMagnitude());
-  return imu;
+  const auto gyro = clean("gyroscope" + of, data.gyro, &imu->gyro_report);
+  const auto accel = clean("accelerometer" + of, data.accel, &imu->accel_report);
+  imu->epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
+  imu->gyro = ToSeconds(gyro, imu->epoch_ns);
+  imu->accel = ToSeconds(accel, imu->epoch_ns);
+  CheckDuration("gyroscope" + of, imu->gyro, options.min_overlap_s, &imu->gyro_report);
+  CheckDuration("accelerometer" + of, imu->accel, options.min_overlap_s, &imu->accel_report);
+  CheckAccelerometerUnit("accelerometer" + of, imu->accel, options.GravityMagnitude());
 }
 
 }  // namespace
@@ -352,13 +351,8 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
                               const SessionStamps& stamps) {
   const SessionData session = Convert(options, recorded);
   ConditionedData out;
-  const auto report = [](const StreamStamps& of, StreamReport* stream) {
-    stream->stamps_recovered = of.recovered;
-    stream->stamp_jitter_s = of.jitter_s;
-  };
-  report(stamps.poses, &out.pose_report);
-  const double max_bad = options.max_bad_fraction;
-  auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
+  out.pose_report = stamps.poses;
+  auto poses = Clean("pose", options.max_bad_fraction, session.poses, &out.pose_report);
   CheckAlive(poses);
   out.pose_report.between_updates = KeepOneOf(FindUpdatePeriod(poses), &poses);
   out.pose_epoch_ns = poses.front().t_ns;
@@ -367,15 +361,12 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
   CheckDuration("pose", out.poses, options.min_overlap_s, &out.pose_report);
   const bool has_imu = std::any_of(session.imus.begin(), session.imus.end(),
                                    [](const ImuData& imu) { return !imu.IsEmpty(); });
+  out.imus.resize(session.imus.size());
   for (size_t i = 0; i < session.imus.size(); ++i) {
-    const bool is_missing = has_imu && session.imus[i].IsEmpty();
-    out.imus.push_back(is_missing
-                           ? ConditionedImu()
-                           : ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i]));
-    report(stamps.imus[i].first, &out.imus[i].gyro_report);
-    report(stamps.imus[i].second, &out.imus[i].accel_report);
+    std::tie(out.imus[i].gyro_report, out.imus[i].accel_report) = stamps.imus[i];
+    if (has_imu && session.imus[i].IsEmpty()) continue;
+    ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i], &out.imus[i]);
   }
-
   SplitAtGaps(options, &out);
   return out;
 }

@@ -31,6 +31,7 @@ struct StreamReport {
   double rate_hz = 0.0;         ///< 1 / median period of the samples used
   double duration_s = 0.0;      ///< first to last sample used
 
+  bool stamps_even = true;        ///< as recorded
   bool stamps_recovered = false;  ///< the stamps are those of the source's own clock, estimated
   double stamp_jitter_s = 0.0;    ///< rms of recorded less recovered stamp, about its mean
 };
