@@ -117,16 +117,6 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
   return kept;
 }
 
-/// The recording in SI units, with the poses of the marker in the world.
-SessionData Convert(const CalibrationOptions& options, SessionData session) {
-  for (PoseSample& s : session.poses) s = ToMarkerPose(options, s);
-  for (ImuData& imu : session.imus) {
-    for (ImuSample& s : imu.gyro) s.value *= options.gyro_unit;
-    for (ImuSample& s : imu.accel) s.value *= options.accel_unit;
-  }
-  return session;
-}
-
 /// Whether `size` components of the values, from `first` on, never change.
 template <typename Sample>
 bool IsAlways(const std::vector<Sample>& samples, Eigen::Index first, Eigen::Index size) {
@@ -297,15 +287,17 @@ void CheckAccelerometerUnit(const std::string& stream, const std::vector<TimedSa
 void ConditionImu(const CalibrationOptions& options, const std::string& of, const ImuData& data,
                   ConditionedImu* imu) {
   const auto clean = [&](const std::string& stream, const std::vector<ImuSample>& samples,
-                         StreamReport* report) {
+                         double unit, StreamReport* report) {
     auto kept = Clean(stream, options.max_bad_fraction, samples, report);
+    for (ImuSample& s : kept) s.value *= unit;
     CheckAlive(stream, kept, report->received);
     RemoveSaturated(stream, options.max_bad_fraction, &kept, report);
     RemoveSpikes(&kept, report);
     return kept;
   };
-  const auto gyro = clean("gyroscope" + of, data.gyro, &imu->gyro_report);
-  const auto accel = clean("accelerometer" + of, data.accel, &imu->accel_report);
+  const auto gyro = clean("gyroscope" + of, data.gyro, options.gyro_unit, &imu->gyro_report);
+  const auto accel =
+      clean("accelerometer" + of, data.accel, options.accel_unit, &imu->accel_report);
   imu->epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
   imu->gyro = ToSeconds(gyro, imu->epoch_ns);
   imu->accel = ToSeconds(accel, imu->epoch_ns);
@@ -347,12 +339,12 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
   return ConditionData(options, session, stamps);
 }
 
-ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded,
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& session,
                               const SessionStamps& stamps) {
-  const SessionData session = Convert(options, recorded);
   ConditionedData out;
   out.pose_report = stamps.poses;
   auto poses = Clean("pose", options.max_bad_fraction, session.poses, &out.pose_report);
+  for (PoseSample& s : poses) s = ToMarkerPose(options, s);
   CheckAlive(poses);
   out.pose_report.between_updates = KeepOneOf(FindUpdatePeriod(poses), &poses);
   out.pose_epoch_ns = poses.front().t_ns;
