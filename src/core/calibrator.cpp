@@ -25,21 +25,6 @@ std::string InSession(size_t session, size_t count) {
   return count == 1 ? "" : "session " + std::to_string(session + 1) + ": ";
 }
 
-/// Tells of a stage from beginning to end.
-class Stage {
- public:
-  Stage(const Progress& progress, const std::string& name) : progress_(progress), name_(name) {
-    if (progress_) progress_(name_, std::nullopt);
-  }
-  void End(int iterations = 0) const {
-    if (progress_) progress_(name_, iterations);
-  }
-
- private:
-  const Progress& progress_;
-  const std::string name_;
-};
-
 /// Whether two IMUs are one under two names: most turn rates of both are the same to the last bit
 /// at the same stamps.
 bool AreOne(const ImuData& a, const ImuData& b) {
@@ -266,7 +251,7 @@ PoseSensorCalibration CalibrateSensor(const CalibrationOptions& options,
 void CalibrateSensors(const CalibrationOptions& options, const std::vector<SessionData>& data,
                       const Progress& progress, Calibration* result) {
   if (data[0].pose_sensors.empty() || !result->IsUsable()) return;
-  const Stage stage(progress, "pose sensors");
+  progress("pose sensors", std::nullopt);
   for (size_t k = 0; k < data[0].pose_sensors.size(); ++k) {
     std::vector<std::vector<PoseSample>> poses;
     for (const SessionData& session : data) poses.push_back(session.pose_sensors[k]);
@@ -278,7 +263,7 @@ void CalibrateSensors(const CalibrationOptions& options, const std::vector<Sessi
   const auto& sensors = result->pose_sensors;
   if (result->imus.empty() && std::all_of(sensors.begin(), sensors.end(), is_degenerate))
     result->status = Status::kDegenerate;
-  stage.End();
+  progress("pose sensors", 0);
 }
 
 /// S3 or S4, and S5 but for pose sensors.
@@ -288,7 +273,8 @@ Solution SolveRig(const CalibrationOptions& options, const Progress& progress,
   for (const PreparedSession& session : *sessions)
     AddStart(Estimate(session, options.bias_knot_interval_s), &estimate);
   const bool is_joint = options.method == Method::kJoint;
-  const Stage solve(progress, is_joint ? "trajectory and calibration" : "calibration");
+  const std::string solve = is_joint ? "trajectory and calibration" : "calibration";
+  progress(solve, std::nullopt);
   std::vector<double> spacings;
   for (size_t s = 0; is_joint && s < sessions->size(); ++s) {
     spacings.push_back(ChooseKnotSpacing(options, (*sessions)[s].data));
@@ -296,26 +282,26 @@ Solution SolveRig(const CalibrationOptions& options, const Progress& progress,
   }
   Solution solution = is_joint ? SolveJointly(options, spacings, sessions, &estimate)
                                : SolveAgainstTrajectory(options, *sessions, &estimate);
-  solve.End(solution.iterations);
-  const Stage verdict(progress, "sigmas and verdict");
+  progress(solve, solution.iterations);
+  progress("sigmas and verdict", std::nullopt);
   ReportEstimate(estimate, *sessions, result);
   ReportSensors(solution, result);
   for (size_t s = 0; !is_joint && s < sessions->size(); ++s)
     result->sessions[s].rms = PoseResiduals((*sessions)[s]);
   const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), result);
   GradeResult(options, marginals, result);
-  WarnOfMisfit(marginals, result);
   DoubtResult(*sessions, solution.has_settled, result);
   TestSessionAgreement(result);
   solution.estimate = std::move(estimate);
-  verdict.End();
+  progress("sigmas and verdict", 0);
   return solution;
 }
 
 }  // namespace
 
 Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData> data,
-                      const Progress& progress) {
+                      const Progress& told) {
+  const Progress progress = told ? told : [](const std::string&, std::optional<int>) {};
   options.Validate();
   CheckRig(options, data);
   Calibration result;
@@ -328,11 +314,12 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   std::vector<PreparedSession> sessions;
   CalibrationOptions of_session = options;
   for (size_t s = 0; s < data.size(); ++s) {
-    const Stage preparation(progress, InSession(s, data.size()) + "data and start");
+    const std::string preparation = InSession(s, data.size()) + "data and start";
+    progress(preparation, std::nullopt);
     std::optional<PreparedSession> session = PrepareSession(of_session, &data[s], s, &result);
     if (!session) return result;
     sessions.push_back(std::move(*session));
-    preparation.End();
+    progress(preparation, 0);
     // Initial values are those of the first IMU, these two of the first session.
     of_session.initial_time_shift.reset();
     of_session.initial_gravity.reset();
@@ -343,8 +330,7 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
     solution = SolveRig(options, progress, &sessions, &result);
   } else {  // the trajectories are those of the poses alone
     solution.estimate.sessions.resize(sessions.size());
-    result.status = Status::kOk;
-    result.message = "every sigma is within its bound";
+    result.status = GradeSpectrum(options, &result.observability, &result.message);
   }
   for (PreparedSession& session : sessions) {
     solution.trajectories.push_back(session.trajectory);
