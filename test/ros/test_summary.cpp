@@ -301,7 +301,9 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
   check.poses.repeated = 0.125;
   check.poses.report.flipped = 321;
   check.poses.cut_s = 0.01;
-  check.poses.stamps = {false, true, 3.1e-3};
+  check.poses.report.stamps_even = false;
+  check.poses.report.stamps_recovered = true;
+  check.poses.report.stamp_jitter_s = 3.1e-3;
   check.imus[0].gyro.report.stamps_even = false;
   check.imus[0].is_matched = true;
   check.imus[0].time_shift = -1034771.5066;

@@ -44,22 +44,20 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   StreamCheck check;
   check.count = samples.size();
   if (samples.size() < 2) return check;
-  size_t repeated = 0, run = 0, longest_run = 0;
-  const std::vector<int64_t> recorded = Stamps(samples);
-  const std::vector<StampFault> faults = JudgeStamps(recorded);
+  const auto n = static_cast<double>(samples.size());
   const std::vector<bool> repeats = FindRepeats(samples);
-  std::vector<int64_t> stamps;
-  for (size_t i = 0; i < samples.size(); ++i) {
-    if (faults[i] != StampFault::kAstray && faults[i] != StampFault::kAhead)
-      stamps.push_back(recorded[i]);
-    if (i == 0) continue;
-    run = repeats[i] ? run + 1 : 0;
-    repeated += run > 0 ? 1 : 0;
+  check.repeated = static_cast<double>(std::count(repeats.begin(), repeats.end(), true)) / n;
+  size_t run = 0, longest_run = 0;
+  for (const bool is_repeat : repeats) {
+    run = is_repeat ? run + 1 : 0;
     longest_run = std::max(longest_run, run);
   }
-  const auto n = static_cast<double>(samples.size());
-  check.repeated = static_cast<double>(repeated) / n;
 
+  const std::vector<StampFault> faults = JudgeStamps(Stamps(samples));
+  std::vector<int64_t> stamps;
+  for (size_t i = 0; i < samples.size(); ++i)
+    if (faults[i] != StampFault::kAstray && faults[i] != StampFault::kAhead)
+      stamps.push_back(samples[i].t_ns);
   std::sort(stamps.begin(), stamps.end());
   if (stamps.size() < 2) return check;
   check.duration_s = 1e-9 * static_cast<double>(stamps.back() - stamps.front());
@@ -313,30 +311,26 @@ std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& fr
          Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
 }
 
-DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
-                       const SessionStamps& stamps) {
-  DataCheck check;
-  check.poses = CheckStream(recorded.poses, session.poses, stamps.poses);
-  check.imus.resize(session.imus.size());
+void CheckStreams(const SessionData& recorded, const SessionData& session,
+                  const SessionStamps& stamps, DataCheck* check) {
+  *check = DataCheck();
+  check->poses = CheckStream(recorded.poses, session.poses, stamps.poses);
+  check->imus.resize(session.imus.size());
   for (size_t i = 0; i < session.imus.size(); ++i) {
     const ImuData &before = recorded.imus[i], &after = session.imus[i];
-    check.imus[i].gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
-    check.imus[i].accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
+    check->imus[i].gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
+    check->imus[i].accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
   }
-  ForEachStream(check, [&](const std::string& name, const StreamCheck& of) {
-    WarnOfStamps(name, of, &of == &check.poses ? kPoseBounds : kImuBounds, &check.warnings);
+  ForEachStream(*check, [&](const std::string& name, const StreamCheck& of) {
+    WarnOfStamps(name, of, &of == &check->poses ? kPoseBounds : kImuBounds, &check->warnings);
   });
-  return check;
-}
-
-void RefuseBunches(const DataCheck& check) {
-  ForEachStream(check, [](const std::string& name, const StreamCheck& of) {
+  ForEachStream(*check, [](const std::string& name, const StreamCheck& of) {
     if (of.report.stamps_recovered || of.bunched <= kMostBunched) return;
     const auto percent = [](double share) { return Number(100.0 * share, "%.3g %%"); };
-    throw DataError(name + ": " + percent(of.bunched) +
-                    " of the samples are stamped in bunches (bound: " + percent(kMostBunched) +
-                    "), as by time of arrival, and no even clock fits them; record stamps of the "
-                    "sensor's own clock");
+    Throw<DataError>(name, ": ", percent(of.bunched),
+                     " of the samples are stamped in bunches (bound: ", percent(kMostBunched),
+                     "), as by time of arrival, and no even clock fits them; record stamps of the "
+                     "sensor's own clock");
   });
 }
 

@@ -38,8 +38,7 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
                         DataCheck* check) {
   SessionData session = recorded;
   const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
-  *check = CheckStreams(recorded, session, stamps);
-  RefuseBunches(*check);
+  CheckStreams(recorded, session, stamps, check);
   PreparedSession prepared;
   prepared.data = ConditionData(options, session, stamps);
   PoseTrajectory trajectory = FitTrajectory(options, &prepared.data);

@@ -322,7 +322,8 @@ DataCheck CheckSolved(const CalibrationOptions& options, const SessionData& reco
                       const SessionCalibration& solved) {
   SessionData session = recorded;
   const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
-  DataCheck check = CheckStreams(recorded, session, stamps);
+  DataCheck check;
+  CheckStreams(recorded, session, stamps, &check);
   check.poses.report = solved.poses;
   for (size_t i = 0; i < solved.imus.size(); ++i) {
     check.imus[i].gyro.report = solved.imus[i].gyro;

@@ -79,13 +79,10 @@ struct DataCheck {
 };
 
 /// Checks of the samples before S0: rates, stamps, repetitions. `session` is `recorded` after
-/// RecoverStamps(), which gave `stamps`.
-DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
-                       const SessionStamps& stamps);
-
-/// Throws DataError when most samples of a stream come in bunches for which no clock was found:
-/// when they were taken cannot be told.
-void RefuseBunches(const DataCheck& check);
+/// RecoverStamps(), which gave `stamps`. Throws DataError when most samples of a stream come in
+/// bunches for which no clock was found: when they were taken cannot be told.
+void CheckStreams(const SessionData& recorded, const SessionData& session,
+                  const SessionStamps& stamps, DataCheck* check);
 
 /// Checks of what S0 and S1 made of them: what was dropped, rest, excitation. Throws
 /// DegenerateMotion unless the marker turns about two axes, where it `must_turn`, by the principal
