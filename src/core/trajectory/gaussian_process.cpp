@@ -190,16 +190,15 @@ struct WeightPosterior {
 WeightPosterior FitWeights(const GpData& data, const BumpGrid& grid, const GpHyperparameters& h) {
   Band A(static_cast<size_t>(grid.size / kTile), Eigen::MatrixXd::Zero(2 * kTile, 2 * kTile));
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
+  const Eigen::VectorXd all = data.noise_scale.size() > 0 ? data.noise_scale.cwiseInverse().eval()
+                                                          : Eigen::VectorXd::Ones(data.t.size());
   ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
+    const auto per_noise = all.segment(group.begin, group.count).asDiagonal();
     BumpGroup::Columns values = group.value;
     auto F = values.leftCols(group.count);
-    const auto divide_by_noise = [&] {
-      if (data.noise_scale.size() > 0)
-        F *= data.noise_scale.segment(group.begin, group.count).cwiseInverse().asDiagonal();
-    };
-    divide_by_noise();
+    F *= per_noise;
     AddProduct(1.0, F, F, true, BlockOf(A, group.bump));
-    divide_by_noise();
+    F *= per_noise;
     b.middleRows<kSupport>(group.bump).noalias() += F * data.y.middleRows(group.begin, group.count);
   });
   const double weight_std = WeightStd(h);
@@ -260,10 +259,7 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
   const double noise2 = h.noise_std * h.noise_std;
   const double weight_std = WeightStd(h);
 
-  double fit = posterior.mean.squaredNorm();
-  double length_fit = 0.0;
-  double tr_length = 0.0;
-  double residual_norm2 = 0.0;
+  double length_fit = 0.0, tr_length = 0.0, residual_norm2 = 0.0;
   Band inverse;  // of A
   if (gradient != nullptr) inverse = posterior.A.Inverse();
   ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
@@ -282,7 +278,7 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
     AddProduct(1.0, df, f, false, product);
     tr_length += BlockOf(inverse, group.bump).cwiseProduct(product).sum() / noise2;
   });
-  fit += residual_norm2 / noise2;
+  const double fit = posterior.mean.squaredNorm() + residual_norm2 / noise2;
   const double log_likelihood =
       -0.5 * fit -
       0.5 * outputs *
