@@ -28,10 +28,6 @@ struct Signal {
     value[static_cast<Eigen::Index>(bin)] += x;
     weight[static_cast<Eigen::Index>(bin)] += 1.0;
   }
-  void Average() {
-    value /= weight.max(1.0);
-    weight = weight.min(1.0);
-  }
   size_t size() const { return static_cast<size_t>(value.size()); }
 };
 
@@ -137,7 +133,8 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
   Signal imu(bins(gyro.back().t - gyro_begin));
   for (const TimedSample& s : gyro)
     imu.Add(static_cast<size_t>((s.t - gyro_begin) / kRateBin), s.value.norm());
-  imu.Average();
+  imu.value /= imu.weight.max(1.0);  // the mean of the samples in a bin
+  imu.weight = imu.weight.min(1.0);
 
   const MaskedCorrelation correlation(marker, imu, threads);
   const auto shift = [&](double lag) { return lag * kRateBin - gyro_begin; };
