@@ -25,21 +25,6 @@ std::string InSession(size_t session, size_t count) {
   return count == 1 ? "" : "session " + std::to_string(session + 1) + ": ";
 }
 
-/// Tells of a stage from beginning to end.
-class Stage {
- public:
-  Stage(const Progress& progress, const std::string& name) : progress_(progress), name_(name) {
-    if (progress_) progress_(name_, std::nullopt);
-  }
-  void End(int iterations = 0) const {
-    if (progress_) progress_(name_, iterations);
-  }
-
- private:
-  const Progress& progress_;
-  const std::string name_;
-};
-
 /// Whether two IMUs are one under two names: most turn rates of both are the same to the last bit
 /// at the same stamps.
 bool AreOne(const ImuData& a, const ImuData& b) {
@@ -76,15 +61,15 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
 }
 
 void ReportData(const DataCheck& check, SessionCalibration* session) {
-  session->poses = check.poses_report;
+  session->poses = check.poses.report;
   session->segments = check.segments;
   session->gaps = check.gaps;
   session->jumps = check.jumps;
   session->imus.resize(check.imus.size());
   for (size_t i = 0; i < check.imus.size(); ++i) {
     session->imus[i].is_present = check.imus[i].gyro.count > 0;
-    session->imus[i].gyro = check.imus[i].gyro_report;
-    session->imus[i].accel = check.imus[i].accel_report;
+    session->imus[i].gyro = check.imus[i].gyro.report;
+    session->imus[i].accel = check.imus[i].accel.report;
   }
 }
 
@@ -167,10 +152,7 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
       const ImuSessionEstimate& clock = solution->estimate.sessions[s].imus[i];
       if (!clock.is_present) continue;
       ImuSession& own = result->sessions[s].imus[i];
-      const double epoch = own.clock_reference - clock.clock_reference;
-      const auto offset = [&](double t) {
-        return own.time_shift + own.clock_drift * (t - clock.clock_reference) + clock.walk.At(t);
-      };
+      const double reference = clock.clock_reference, epoch = own.clock_reference - reference;
       own.clock.wanders = !clock.walk.IsLine();
       const std::vector<TimedSample>& gyro = solution->imus[s][i].gyro;
       const std::vector<double> knots =
@@ -180,35 +162,20 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
         return std::sqrt(trajectory.ClockVariance(i, clock.PoseTime(t)));
       };
       const double enlarged =
-          has_covariance ? std::max(1.0, own.time_shift_std / model_std(clock.clock_reference))
-                         : 1.0;
+          has_covariance ? std::max(1.0, own.time_shift_std / model_std(reference)) : 1.0;
       for (const double t : knots) {
+        const double grown = own.clock_drift * (t - reference);
+        const double grown_std = own.clock_drift_std * (t - reference);
         own.clock.t.push_back(epoch + t);
-        own.clock.offset.push_back(offset(t));
-        own.clock.std.push_back(
-            has_covariance ? enlarged * model_std(t)
-                           : std::hypot(own.time_shift_std,
-                                        own.clock_drift_std * (t - clock.clock_reference)));
+        own.clock.offset.push_back(own.time_shift + grown + clock.walk.At(t));
+        own.clock.std.push_back(has_covariance ? enlarged * model_std(t)
+                                               : std::hypot(own.time_shift_std, grown_std));
       }
       for (const size_t k : clock.walk.steps)
         own.clock.steps.push_back(
             {epoch + clock.walk.t[k + 1], clock.walk.offset[k + 1] - clock.walk.offset[k]});
     }
   }
-}
-
-/// S4.
-Solution SolveTogether(const CalibrationOptions& options, std::vector<PreparedSession>* sessions,
-                       const Progress& progress, Estimate* estimate, Calibration* result) {
-  const Stage solve(progress, "trajectory and calibration");
-  std::vector<double> spacings;
-  for (size_t s = 0; s < sessions->size(); ++s) {
-    spacings.push_back(ChooseKnotSpacing(options, (*sessions)[s].data));
-    result->sessions[s].knot_spacing_s = spacings[s];
-  }
-  Solution solution = SolveJointly(options, spacings, sessions, estimate);
-  solve.End(solution.iterations);
-  return solution;
 }
 
 /// Session s, ready to be calibrated, with what its data are in `result`. Nothing when its motion
@@ -284,7 +251,7 @@ PoseSensorCalibration CalibrateSensor(const CalibrationOptions& options,
 void CalibrateSensors(const CalibrationOptions& options, const std::vector<SessionData>& data,
                       const Progress& progress, Calibration* result) {
   if (data[0].pose_sensors.empty() || !result->IsUsable()) return;
-  const Stage stage(progress, "pose sensors");
+  progress("pose sensors", std::nullopt);
   for (size_t k = 0; k < data[0].pose_sensors.size(); ++k) {
     std::vector<std::vector<PoseSample>> poses;
     for (const SessionData& session : data) poses.push_back(session.pose_sensors[k]);
@@ -296,7 +263,7 @@ void CalibrateSensors(const CalibrationOptions& options, const std::vector<Sessi
   const auto& sensors = result->pose_sensors;
   if (result->imus.empty() && std::all_of(sensors.begin(), sensors.end(), is_degenerate))
     result->status = Status::kDegenerate;
-  stage.End();
+  progress("pose sensors", 0);
 }
 
 /// S3 or S4, and S5 but for pose sensors.
@@ -305,43 +272,36 @@ Solution SolveRig(const CalibrationOptions& options, const Progress& progress,
   Estimate estimate;
   for (const PreparedSession& session : *sessions)
     AddStart(Estimate(session, options.bias_knot_interval_s), &estimate);
-  Solution solution;
-  if (options.method == Method::kJoint) {
-    solution = SolveTogether(options, sessions, progress, &estimate, result);
-  } else {
-    const Stage solve(progress, "calibration");
-    solution = SolveAgainstTrajectory(options, *sessions, &estimate);
-    solve.End(solution.iterations);
+  const bool is_joint = options.method == Method::kJoint;
+  const std::string solve = is_joint ? "trajectory and calibration" : "calibration";
+  progress(solve, std::nullopt);
+  std::vector<double> spacings;
+  for (size_t s = 0; is_joint && s < sessions->size(); ++s) {
+    spacings.push_back(ChooseKnotSpacing(options, (*sessions)[s].data));
+    result->sessions[s].knot_spacing_s = spacings[s];
   }
-  const Stage verdict(progress, "sigmas and verdict");
+  Solution solution = is_joint ? SolveJointly(options, spacings, sessions, &estimate)
+                               : SolveAgainstTrajectory(options, *sessions, &estimate);
+  progress(solve, solution.iterations);
+  progress("sigmas and verdict", std::nullopt);
   ReportEstimate(estimate, *sessions, result);
   ReportSensors(solution, result);
-  if (options.method == Method::kGp)
-    for (size_t s = 0; s < sessions->size(); ++s)
-      result->sessions[s].rms = PoseResiduals((*sessions)[s]);
+  for (size_t s = 0; !is_joint && s < sessions->size(); ++s)
+    result->sessions[s].rms = PoseResiduals((*sessions)[s]);
   const Marginals marginals = CompareSessions(CoverHalves(solution.marginals), result);
   GradeResult(options, marginals, result);
-  WarnOfMisfit(marginals, result);
   DoubtResult(*sessions, solution.has_settled, result);
   TestSessionAgreement(result);
   solution.estimate = std::move(estimate);
-  verdict.End();
-  return solution;
-}
-
-/// Of a rig without IMUs, the trajectories are those of the poses alone.
-Solution SolveNothing(size_t sessions, Calibration* result) {
-  Solution solution;
-  solution.estimate.sessions.resize(sessions);
-  result->status = Status::kOk;
-  result->message = "every sigma is within its bound";
+  progress("sigmas and verdict", 0);
   return solution;
 }
 
 }  // namespace
 
 Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData> data,
-                      const Progress& progress) {
+                      const Progress& told) {
+  const Progress progress = told ? told : [](const std::string&, std::optional<int>) {};
   options.Validate();
   CheckRig(options, data);
   Calibration result;
@@ -354,18 +314,24 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
   std::vector<PreparedSession> sessions;
   CalibrationOptions of_session = options;
   for (size_t s = 0; s < data.size(); ++s) {
-    const Stage preparation(progress, InSession(s, data.size()) + "data and start");
+    const std::string preparation = InSession(s, data.size()) + "data and start";
+    progress(preparation, std::nullopt);
     std::optional<PreparedSession> session = PrepareSession(of_session, &data[s], s, &result);
     if (!session) return result;
     sessions.push_back(std::move(*session));
-    preparation.End();
+    progress(preparation, 0);
     // Initial values are those of the first IMU, these two of the first session.
     of_session.initial_time_shift.reset();
     of_session.initial_gravity.reset();
   }
 
-  Solution solution = result.imus.empty() ? SolveNothing(sessions.size(), &result)
-                                          : SolveRig(options, progress, &sessions, &result);
+  Solution solution;
+  if (!result.imus.empty()) {
+    solution = SolveRig(options, progress, &sessions, &result);
+  } else {  // the trajectories are those of the poses alone
+    solution.estimate.sessions.resize(sessions.size());
+    result.status = GradeSpectrum(options, &result.observability, &result.message);
+  }
   for (PreparedSession& session : sessions) {
     solution.trajectories.push_back(session.trajectory);
     solution.pose_epochs_ns.push_back(session.data.pose_epoch_ns);
@@ -379,26 +345,6 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
 
 Calibration Calibrate(const CalibrationOptions& options, const SessionData& session) {
   return Calibrate(options, std::vector<SessionData>{session});
-}
-
-const char* ToString(Status status) {
-  constexpr const char* kNames[] = {"not run", "ok", "weak", "degenerate"};
-  return kNames[static_cast<int>(status)];
-}
-
-const char* ToString(Method method) { return method == Method::kJoint ? "joint" : "gp"; }
-
-const char* ToString(SolverKind solver) {
-  return solver == SolverKind::kWindows ? "windows" : "ceres";
-}
-
-const char* ToString(ImuModel model) {
-  return model == ImuModel::kCalibrated ? "calibrated" : "scale_misalignment";
-}
-
-const char* ToString(StampRecovery mode) {
-  constexpr const char* kNames[] = {"auto", "always", "never"};
-  return kNames[static_cast<int>(mode)];
 }
 
 }  // namespace imu_pose_calib

@@ -105,7 +105,7 @@ TEST(CheckData, WarnsOfStampsByTimeOfArrival) {
   ExpectWarning(check, {"gyroscope", "bunches", "as recorded", "sensor's own clock"});
   check = Check(data);
   EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
-  EXPECT_TRUE(check.imus[0].gyro.stamps.recovered);
+  EXPECT_TRUE(check.imus[0].gyro.report.stamps_recovered);
   EXPECT_NEAR(check.imus[0].gyro.bunched, 0.75, 0.01);
   EXPECT_NEAR(check.imus[0].gyro.rate_hz, 200.0, 0.1);
 }
@@ -129,7 +129,7 @@ TEST(CheckData, WarnsOfStampsThatJitter) {
                 {"accelerometer", "jitter", "of the period of", "as recorded"});
   const DataCheck check = Check(data);
   EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
-  EXPECT_NEAR(check.imus[0].accel.stamps.jitter_s, 1.39e-3, 5e-5);
+  EXPECT_NEAR(check.imus[0].accel.report.stamp_jitter_s, 1.39e-3, 5e-5);
 }
 
 TEST(CheckData, WarnsOfLostSamples) {
@@ -194,7 +194,7 @@ TEST(CheckMotion, FindsTheSameRestWhereverTimeIsZero) {
     for (TimedSample& s : *samples) s.t -= 10.0;
   DataCheck check;
   check.imus.resize(1);
-  CheckMotion(options, data, trajectory, &check);
+  CheckMotion(options, data, trajectory, false, &check);
   EXPECT_NEAR(check.imus[0].rest_s, 20.0, 0.5);
 }
 

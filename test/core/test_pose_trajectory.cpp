@@ -149,15 +149,15 @@ TEST(PoseTrajectory, PoseAtIsTheSmoothedPose) {
   const TrueTrajectory truth(options);
   double position2 = 0.0, rotation2 = 0.0, count = 0.0;
   for (double t = 0.3; t < 9.6; t += 0.0317) {
-    Eigen::Vector2d variance;  // position, rotation
-    const Rigid3 pose = fitted.trajectory.PoseAt(t, &variance);
+    const MarkerVariance variance = fitted.trajectory.Variance(t);
+    const Rigid3 pose = fitted.trajectory.PoseAt(t);
     const TrueState at = truth.At(t);
-    position2 += (pose.p - at.p_WM).squaredNorm() / variance[0];
-    rotation2 +=
-        Log(Quaterniond(Quaterniond(at.R_WM).conjugate() * pose.q)).squaredNorm() / variance[1];
+    position2 += (pose.p - at.p_WM).squaredNorm() / variance.position;
+    rotation2 += Log(Quaterniond(Quaterniond(at.R_WM).conjugate() * pose.q)).squaredNorm() /
+                 variance.rotation;
     count += 3.0;
-    EXPECT_LT(std::sqrt(variance[0]), options.position_std) << "no smoothing";
-    EXPECT_LT(std::sqrt(variance[1]), options.rotation_std) << "no smoothing";
+    EXPECT_LT(std::sqrt(variance.position), options.position_std) << "no smoothing";
+    EXPECT_LT(std::sqrt(variance.rotation), options.rotation_std) << "no smoothing";
   }
   EXPECT_GT(position2 / count, 0.3);
   EXPECT_LT(position2 / count, 2.0);

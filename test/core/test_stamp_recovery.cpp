@@ -221,9 +221,9 @@ StampList StampsOf(const SessionData& data) { return Stamps(data.poses); }
 TEST(RecoverStamps, LeavesCleanStampsAsTheyAre) {
   SessionData data = Simulate(Truth()), before = data;
   const SessionStamps stamps = RecoverStamps(StampRecovery::kAuto, &data);
-  EXPECT_TRUE(stamps.poses.even);
-  EXPECT_FALSE(stamps.poses.recovered);
-  EXPECT_FALSE(stamps.imus[0].first.recovered);
+  EXPECT_TRUE(stamps.poses.stamps_even);
+  EXPECT_FALSE(stamps.poses.stamps_recovered);
+  EXPECT_FALSE(stamps.imus[0].first.stamps_recovered);
   EXPECT_EQ(StampsOf(data), StampsOf(before));
   EXPECT_EQ(Stamps(data.imus[0].gyro), Stamps(before.imus[0].gyro));
   EXPECT_EQ(Stamps(data.imus[0].accel), Stamps(before.imus[0].accel));
@@ -245,7 +245,7 @@ TEST(RecoverStamps, LeavesTrueIrregularTimesAsTheyAre) {
   }
   ASSERT_TRUE(RecoverClock(StampsOf(data)).has_value());
   const StampList before = StampsOf(data);
-  EXPECT_FALSE(RecoverStamps(StampRecovery::kAuto, &data).poses.recovered);
+  EXPECT_FALSE(RecoverStamps(StampRecovery::kAuto, &data).poses.stamps_recovered);
   EXPECT_EQ(StampsOf(data), before);
 }
 
@@ -256,19 +256,19 @@ TEST(RecoverStamps, TakesTheClockThatExplainsThePoses) {
   SetStamps(Arrival(clean, 2e-3, &random), &data.poses);
   SessionData never = data;
   const StampList late = StampsOf(data);
-  EXPECT_FALSE(RecoverStamps(StampRecovery::kNever, &never).poses.recovered);
+  EXPECT_FALSE(RecoverStamps(StampRecovery::kNever, &never).poses.stamps_recovered);
   EXPECT_EQ(StampsOf(never), late);
-  const StreamStamps stamps = RecoverStamps(StampRecovery::kAuto, &data).poses;
-  EXPECT_TRUE(stamps.recovered);
-  EXPECT_NEAR(stamps.jitter_s, 2e-3, 2e-4);
+  const StreamReport stamps = RecoverStamps(StampRecovery::kAuto, &data).poses;
+  EXPECT_TRUE(stamps.stamps_recovered);
+  EXPECT_NEAR(stamps.stamp_jitter_s, 2e-3, 2e-4);
   EXPECT_LT(ErrorOf(StampsOf(data), clean).rms, 1.5e-4);
 }
 
 TEST(RecoverStamps, AlwaysAndNeverMeanIt) {
   SessionData data = Simulate(Truth()), before = data;
   const SessionStamps stamps = RecoverStamps(StampRecovery::kAlways, &data);
-  EXPECT_TRUE(stamps.poses.recovered);
-  EXPECT_LT(stamps.poses.jitter_s, 1e-6);
+  EXPECT_TRUE(stamps.poses.stamps_recovered);
+  EXPECT_LT(stamps.poses.stamp_jitter_s, 1e-6);
   EXPECT_LT(ErrorOf(StampsOf(data), StampsOf(before)).rms, 1e-6);
 }
 
@@ -279,7 +279,7 @@ TEST(RecoverStamps, CountsTheFramesOfAFrozenTracker) {
   Freeze(20.0, 20.03, &data);
   std::mt19937 random(10);
   SetStamps(Arrival(clean, 2e-3, &random), &data.poses);
-  EXPECT_TRUE(RecoverStamps(StampRecovery::kAuto, &data).poses.recovered);
+  EXPECT_TRUE(RecoverStamps(StampRecovery::kAuto, &data).poses.stamps_recovered);
   EXPECT_LT(ErrorOf(StampsOf(data), clean).rms, 1.5e-4);
 
   SetStamps(clean, &data.poses);
@@ -311,7 +311,7 @@ TEST(RecoverStamps, LeavesStampsThatAreNotBelieved) {
   data.poses[1000].t_ns += 5 * kSecond;
   data.poses[3000].t_ns -= 5 * kSecond;
   const StampList before = StampsOf(data);
-  ASSERT_TRUE(RecoverStamps(StampRecovery::kAuto, &data).poses.recovered);
+  ASSERT_TRUE(RecoverStamps(StampRecovery::kAuto, &data).poses.stamps_recovered);
   for (const size_t i : {0u, 1000u, 3000u}) EXPECT_EQ(data.poses[i].t_ns, before[i]);
   EXPECT_NEAR(static_cast<double>(data.poses[1001].t_ns - data.poses[999].t_ns), 20e6, 1e4);
   EXPECT_EQ(ConditionData(CalibrationOptions(), data).pose_report.reversed_stamp, 3u);
@@ -324,9 +324,9 @@ TEST(RecoverStamps, GivesTheSensorsOfAMessageOneClock) {
   SetStamps(InBursts(clean, 8), &imu.gyro);
   SetStamps(InBursts(clean, 8), &imu.accel);
   const SessionStamps stamps = RecoverStamps(StampRecovery::kAuto, &data);
-  EXPECT_FALSE(stamps.poses.recovered);
-  EXPECT_TRUE(stamps.imus[0].first.recovered);
-  EXPECT_TRUE(stamps.imus[0].second.recovered);
+  EXPECT_FALSE(stamps.poses.stamps_recovered);
+  EXPECT_TRUE(stamps.imus[0].first.stamps_recovered);
+  EXPECT_TRUE(stamps.imus[0].second.stamps_recovered);
   EXPECT_EQ(Stamps(imu.gyro), Stamps(imu.accel));
   EXPECT_LT(ErrorOf(Stamps(imu.gyro), clean).rms, 1e-4);
 }
@@ -339,7 +339,7 @@ TEST(CheckData, TellsOfCutStampsOnlyWhenTheyAreUsed) {
   CalibrationOptions options;
   DataCheck check = CheckData(options, data);
   EXPECT_EQ(check.verdict, DataVerdict::kGood) << ::testing::PrintToString(check.warnings);
-  EXPECT_TRUE(check.poses.stamps.recovered);
+  EXPECT_TRUE(check.poses.report.stamps_recovered);
   EXPECT_DOUBLE_EQ(check.poses.cut_s, 0.01);
   EXPECT_NEAR(check.poses.rate_hz, 120.0, 0.1);
   EXPECT_LT(check.poses.missing, 1e-3);

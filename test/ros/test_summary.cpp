@@ -299,10 +299,12 @@ TEST(Summary, ShowsADataCheckAtAGlance) {
   check.poses.rate_hz = 300.0;
   check.poses.longest_gap_s = 0.25;
   check.poses.repeated = 0.125;
-  check.poses_report.flipped = 321;
+  check.poses.report.flipped = 321;
   check.poses.cut_s = 0.01;
-  check.poses.stamps = {false, true, 3.1e-3};
-  check.imus[0].gyro.stamps.even = false;
+  check.poses.report.stamps_even = false;
+  check.poses.report.stamps_recovered = true;
+  check.poses.report.stamp_jitter_s = 3.1e-3;
+  check.imus[0].gyro.report.stamps_even = false;
   check.imus[0].is_matched = true;
   check.imus[0].time_shift = -1034771.5066;
   check.imus[0].overlap_s = 65.1;

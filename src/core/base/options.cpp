@@ -22,15 +22,13 @@ void Check(const std::string& field, double value, const Bound& bound) {
     text << (bound.or_zero ? "0 or " : "") << "within [" << bound.low << ", " << bound.high << "]";
   throw InputError(text.str());
 }
-void Check(const std::string& field, const Eigen::Vector3d& value, const Bound& bound) {
-  Check("norm of " + field, value.norm(), bound);
-}
-void Check(const std::string& field, const Eigen::Quaterniond& value, const Bound& bound) {
-  Check("norm of " + field, value.norm(), bound);
-}
 template <typename T>
 void Check(const std::string& field, const std::optional<T>& value, const Bound& bound) {
-  if (value) Check(field, *value, bound);
+  if (!value) return;
+  if constexpr (std::is_same_v<T, double>)
+    Check(field, *value, bound);
+  else
+    Check("norm of " + field, value->norm(), bound);
 }
 
 /// A value that is not to be estimated must be given.

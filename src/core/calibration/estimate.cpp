@@ -59,14 +59,6 @@ double SlowErrors::Density(double omega2) const {
          (1.0 - 2.0 * kept * std::cos(angle) + kept * kept);
 }
 
-double ImuSessionEstimate::ImuTime(double t_M) const {
-  double t = ClockLine::ImuTime(t_M);
-  // The walk is slow: each round leaves what it changes by within the change of the last one.
-  for (int round = 0; round < 4 && !walk.IsLine(); ++round)
-    t = ClockLine::ImuTime(t_M - walk.At(t));
-  return t;
-}
-
 void SessionEstimate::BeginSlowErrors(double begin, double end) {
   position_errors = SlowErrors(begin, end, kPositionErrors, kPositionStart);
   rotation_errors = SlowErrors(begin, end, kRotationErrors, kRotationStart);
@@ -91,9 +83,7 @@ Estimate::Estimate(const PreparedSession& session, double bias_knot_interval_s)
     imus[i].accel_delay = start.accel_delay;
     ImuSessionEstimate& imu = sessions[0].imus[i];
     imu.is_present = true;
-    imu.time_shift = start.time_shift;
-    imu.walk = start.walk;
-    imu.clock_reference = samples.MiddleOfGyro();
+    static_cast<Clock&>(imu) = start;
     imu.gyro_bias = BiasKnots(samples.gyro, bias_knot_interval_s, start.gyro_bias);
     imu.accel_bias = BiasKnots(samples.accel, bias_knot_interval_s, start.accel_bias);
   }

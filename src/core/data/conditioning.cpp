@@ -4,6 +4,7 @@
 #include <limits>
 #include <sstream>
 #include <string>
+#include <tuple>
 #include <utility>
 
 #include "imu_pose_calib/core/base/median.h"
@@ -28,8 +29,11 @@ constexpr double kMinForce = 0.4, kMaxForce = 10.0;
 constexpr size_t kMinClipped = 3;
 constexpr double kBelowClip = 0.05;  // both limits of a sensor, and those of its axes, are as near
 
-bool IsFinite(const PoseSample& s) { return s.p_WM.allFinite() && s.q_WM.coeffs().allFinite(); }
-bool IsFinite(const ImuSample& s) { return s.value.allFinite(); }
+/// All that a sample measures: of a pose, position and coefficients of the quaternion.
+Eigen::Matrix<double, 7, 1> ValueOf(const PoseSample& s) {
+  return (Eigen::Matrix<double, 7, 1>() << s.p_WM, s.q_WM.coeffs()).finished();
+}
+const Eigen::Vector3d& ValueOf(const ImuSample& s) { return s.value; }
 
 bool HasRotation(const PoseSample& s) { return s.q_WM.norm() > 1e-3; }
 bool HasRotation(const ImuSample&) { return true; }
@@ -39,7 +43,7 @@ template <typename Sample, typename Near>
 std::vector<bool> FindRepeats(const std::vector<Sample>& samples, const Near& is_near) {
   std::vector<bool> repeats(samples.size(), false);
   for (size_t begin = 0, end = 1; begin < samples.size(); begin = end++) {
-    while (end < samples.size() && SameValue(samples[begin], samples[end])) ++end;
+    while (end < samples.size() && ValueOf(samples[begin]) == ValueOf(samples[end])) ++end;
     if (end < samples.size() && is_near(samples[begin], samples[end])) continue;
     for (size_t i = begin + 1; i < end; ++i) repeats[i] = true;
   }
@@ -80,7 +84,7 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
     const Sample& s = samples[i];
     size_t* count = of_fault[static_cast<int>(faults[i])];
     if (!HasRotation(s)) count = &report->zero_quaternion;
-    if (!IsFinite(s)) count = &report->not_finite;
+    if (!ValueOf(s).allFinite()) count = &report->not_finite;
     if (count)
       ++*count;
     else
@@ -113,22 +117,12 @@ std::vector<Sample> Clean(const std::string& stream, double max_bad_fraction,
   return kept;
 }
 
-/// The recording in SI units, with the poses of the marker in the world.
-SessionData Convert(const CalibrationOptions& options, SessionData session) {
-  for (PoseSample& s : session.poses) s = ToMarkerPose(options, s);
-  for (ImuData& imu : session.imus) {
-    for (ImuSample& s : imu.gyro) s.value *= options.gyro_unit;
-    for (ImuSample& s : imu.accel) s.value *= options.accel_unit;
-  }
-  return session;
-}
-
-/// Whether part(sample) never changes.
-template <typename Sample, typename PartOf>
-bool IsAlways(const std::vector<Sample>& samples, const PartOf& part) {
-  return samples.size() > 1 && std::all_of(samples.begin(), samples.end(), [&](const Sample& s) {
-           return part(s) == part(samples.front());
-         });
+/// Whether `size` components of the values, from `first` on, never change.
+template <typename Sample>
+bool IsAlways(const std::vector<Sample>& samples, Eigen::Index first, Eigen::Index size) {
+  const auto part = [=](const Sample& s) { return ValueOf(s).segment(first, size).eval(); };
+  const auto is_same = [&](const Sample& s) { return part(s) == part(samples.front()); };
+  return samples.size() > 1 && std::all_of(samples.begin(), samples.end(), is_same);
 }
 
 /// Throws when a sensor or one of its axes never changes: it is not read.
@@ -139,16 +133,16 @@ void CheckAlive(const std::string& stream, const std::vector<ImuSample>& samples
                      first.isZero(0.0) ? "zero" : "the same",
                      ": the sensor is not read; look at its driver and record again");
   for (int axis = 0; axis < 3; ++axis)
-    if (IsAlways(samples, [axis](const ImuSample& s) { return s.value[axis]; }))
+    if (IsAlways(samples, axis, 1))
       Throw<DataError>(stream, ": its ", "xyz"[axis], " axis is always ", first[axis],
                        "; look at its driver and record again with all three axes");
 }
 
 /// Throws when the source gives only half of the pose.
 void CheckAlive(const std::vector<PoseSample>& poses) {
-  if (IsAlways(poses, [](const PoseSample& s) { return s.p_WM; }))
+  if (IsAlways(poses, 0, 3))
     Throw<DataError>("pose: the position never changes; use a source that gives positions too");
-  if (IsAlways(poses, [](const PoseSample& s) -> Eigen::Vector4d { return s.q_WM.coeffs(); }))
+  if (IsAlways(poses, 3, 4))
     Throw<DataError>(
         "pose: the orientation never changes; use a source that gives orientations too");
 }
@@ -210,7 +204,12 @@ void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
   report->outlier = samples.size() - spiky->size();
 }
 
-void CheckDuration(const std::string& stream, const StreamReport& report, double min_s) {
+/// Summarises the samples of a stream, which must span `min_s`.
+template <typename Timed>
+void CheckDuration(const std::string& stream, const std::vector<Timed>& samples, double min_s,
+                   StreamReport* summary) {
+  Summarise(samples, summary);
+  const StreamReport& report = *summary;
   if (report.duration_s >= min_s) return;
   std::ostringstream dropped;
   const auto add = [&](size_t count, const char* reason) {
@@ -285,36 +284,31 @@ void CheckAccelerometerUnit(const std::string& stream, const std::vector<TimedSa
 }
 
 /// `of`: see OfImu().
-ConditionedImu ConditionImu(const CalibrationOptions& options, const std::string& of,
-                            const ImuData& data) {
-  ConditionedImu imu;
+void ConditionImu(const CalibrationOptions& options, const std::string& of, const ImuData& data,
+                  ConditionedImu* imu) {
   const auto clean = [&](const std::string& stream, const std::vector<ImuSample>& samples,
-                         StreamReport* report) {
+                         double unit, StreamReport* report) {
     auto kept = Clean(stream, options.max_bad_fraction, samples, report);
+    for (ImuSample& s : kept) s.value *= unit;
     CheckAlive(stream, kept, report->received);
     RemoveSaturated(stream, options.max_bad_fraction, &kept, report);
     RemoveSpikes(&kept, report);
     return kept;
   };
-  const auto gyro = clean("gyroscope" + of, data.gyro, &imu.gyro_report);
-  const auto accel = clean("accelerometer" + of, data.accel, &imu.accel_report);
-  imu.epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
-  imu.gyro = ToSeconds(gyro, imu.epoch_ns);
-  imu.accel = ToSeconds(accel, imu.epoch_ns);
-  Summarise(imu.gyro, &imu.gyro_report);
-  Summarise(imu.accel, &imu.accel_report);
-  CheckDuration("gyroscope" + of, imu.gyro_report, options.min_overlap_s);
-  CheckDuration("accelerometer" + of, imu.accel_report, options.min_overlap_s);
-  CheckAccelerometerUnit("accelerometer" + of, imu.accel, options.GravityMagnitude());
-  return imu;
+  const auto gyro = clean("gyroscope" + of, data.gyro, options.gyro_unit, &imu->gyro_report);
+  const auto accel =
+      clean("accelerometer" + of, data.accel, options.accel_unit, &imu->accel_report);
+  imu->epoch_ns = std::min(gyro.front().t_ns, accel.front().t_ns);
+  imu->gyro = ToSeconds(gyro, imu->epoch_ns);
+  imu->accel = ToSeconds(accel, imu->epoch_ns);
+  CheckDuration("gyroscope" + of, imu->gyro, options.min_overlap_s, &imu->gyro_report);
+  CheckDuration("accelerometer" + of, imu->accel, options.min_overlap_s, &imu->accel_report);
+  CheckAccelerometerUnit("accelerometer" + of, imu->accel, options.GravityMagnitude());
 }
 
 }  // namespace
 
-bool SameValue(const PoseSample& a, const PoseSample& b) {
-  return a.p_WM == b.p_WM && a.q_WM.coeffs() == b.q_WM.coeffs();
-}
-bool SameValue(const ImuSample& a, const ImuSample& b) { return a.value == b.value; }
+bool SameValue(const PoseSample& a, const PoseSample& b) { return ValueOf(a) == ValueOf(b); }
 
 std::vector<bool> FindRepeats(const std::vector<PoseSample>& samples) {
   return FindRepeats(samples, [](const PoseSample&, const PoseSample&) { return false; });
@@ -345,35 +339,26 @@ ConditionedData ConditionData(const CalibrationOptions& options, const SessionDa
   return ConditionData(options, session, stamps);
 }
 
-ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& recorded,
+ConditionedData ConditionData(const CalibrationOptions& options, const SessionData& session,
                               const SessionStamps& stamps) {
-  const SessionData session = Convert(options, recorded);
   ConditionedData out;
-  const auto report = [](const StreamStamps& of, StreamReport* stream) {
-    stream->stamps_recovered = of.recovered;
-    stream->stamp_jitter_s = of.jitter_s;
-  };
-  report(stamps.poses, &out.pose_report);
-  const double max_bad = options.max_bad_fraction;
-  auto poses = Clean("pose", max_bad, session.poses, &out.pose_report);
+  out.pose_report = stamps.poses;
+  auto poses = Clean("pose", options.max_bad_fraction, session.poses, &out.pose_report);
+  for (PoseSample& s : poses) s = ToMarkerPose(options, s);
   CheckAlive(poses);
   out.pose_report.between_updates = KeepOneOf(FindUpdatePeriod(poses), &poses);
   out.pose_epoch_ns = poses.front().t_ns;
   out.poses = ToSeconds(poses, out.pose_epoch_ns);
   ScaleNoise(poses, &out.poses);
-  Summarise(out.poses, &out.pose_report);
-  CheckDuration("pose", out.pose_report, options.min_overlap_s);
+  CheckDuration("pose", out.poses, options.min_overlap_s, &out.pose_report);
   const bool has_imu = std::any_of(session.imus.begin(), session.imus.end(),
                                    [](const ImuData& imu) { return !imu.IsEmpty(); });
+  out.imus.resize(session.imus.size());
   for (size_t i = 0; i < session.imus.size(); ++i) {
-    const bool is_missing = has_imu && session.imus[i].IsEmpty();
-    out.imus.push_back(is_missing
-                           ? ConditionedImu()
-                           : ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i]));
-    report(stamps.imus[i].first, &out.imus[i].gyro_report);
-    report(stamps.imus[i].second, &out.imus[i].accel_report);
+    std::tie(out.imus[i].gyro_report, out.imus[i].accel_report) = stamps.imus[i];
+    if (has_imu && session.imus[i].IsEmpty()) continue;
+    ConditionImu(options, OfImu(i, session.imus.size()), session.imus[i], &out.imus[i]);
   }
-
   SplitAtGaps(options, &out);
   return out;
 }

@@ -22,11 +22,6 @@ double MaxGap(const CalibrationOptions& options, const ConditionedData& data) {
                                  : std::max(0.1, 5.0 / data.pose_report.rate_hz);
 }
 
-bool IsLongEnough(const std::vector<TimedPose>& poses, IndexRange run, double min_segment_s) {
-  return run.size() >= kMinSegmentPoses &&
-         poses[run.end - 1].t - poses[run.begin].t >= min_segment_s;
-}
-
 /// How far pose i is from where pose i - 1 leads with the mean velocity of the steps before and
 /// after: (position [m], rotation [rad]).
 Eigen::Array2d Jump(const std::vector<TimedPose>& poses, size_t i) {
@@ -98,7 +93,8 @@ void Cut(const std::vector<size_t>& cuts, double max_gap, double min_segment_s,
       const size_t end = cut != cuts.end() ? std::min(*cut, segment.end) : segment.end;
       const IndexRange run{begin, end};
       begin = end;
-      if (!IsLongEnough(poses, run, min_segment_s)) {
+      if (run.size() < kMinSegmentPoses ||
+          poses[run.end - 1].t - poses[run.begin].t < min_segment_s) {
         *left += run.size();
         continue;
       }

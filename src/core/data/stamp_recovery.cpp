@@ -102,8 +102,8 @@ bool IsSmoother(const Stream& stream, const std::vector<int64_t>& recovered) {
 }
 
 /// What is done about the stamps of a stream, which become the new ones.
-StreamStamps Recover(StampRecovery mode, Stream* stream) {
-  StreamStamps result;
+StreamReport Recover(StampRecovery mode, Stream* stream) {
+  StreamReport result;
   const std::vector<StampFault> faults = JudgeStamps(stream->t_ns);
   // The same message twice is one frame.
   Stream frames;
@@ -119,9 +119,9 @@ StreamStamps Recover(StampRecovery mode, Stream* stream) {
     last = i;
     places[i] = frames.t_ns.size() - 1;
   }
-  result.even = AreEven(frames.t_ns);
+  result.stamps_even = AreEven(frames.t_ns);
   const bool is_auto = mode == StampRecovery::kAuto;
-  if (mode == StampRecovery::kNever || (is_auto && result.even)) return result;
+  if (mode == StampRecovery::kNever || (is_auto && result.stamps_even)) return result;
   const auto recovered = RecoverClock(frames.t_ns);
   if (!recovered) return result;
   Eigen::ArrayXd off(static_cast<Eigen::Index>(recovered->size()));
@@ -129,12 +129,12 @@ StreamStamps Recover(StampRecovery mode, Stream* stream) {
     off[static_cast<Eigen::Index>(k)] =
         1e-9 * static_cast<double>(frames.t_ns[k] - (*recovered)[k]);
   const double jitter = std::sqrt((off - off.mean()).square().mean());
-  result.even = jitter < 1e-9 * kEven * MedianStep(*recovered);
+  result.stamps_even = jitter < 1e-9 * kEven * MedianStep(*recovered);
   if (is_auto && !IsSmoother(frames, *recovered)) return result;
   for (size_t i = 0; i < places.size(); ++i)
     if (faults[i] == StampFault::kNone) stream->t_ns[i] = (*recovered)[places[i]];
-  result.recovered = true;
-  result.jitter_s = jitter;
+  result.stamps_recovered = true;
+  result.stamp_jitter_s = jitter;
   return result;
 }
 
@@ -199,8 +199,8 @@ SessionStamps RecoverStamps(StampRecovery mode, SessionData* session) {
     const bool is_shared = gyro.t_ns == accel.t_ns;
     for (size_t i = 0; is_shared && i < gyro.values.size(); ++i)
       gyro.values[i].tail<4>() = accel.values[i].head<4>();
-    const StreamStamps of_gyro = Recover(mode, &gyro);
-    const StreamStamps of_accel = is_shared ? of_gyro : Recover(mode, &accel);
+    const StreamReport of_gyro = Recover(mode, &gyro);
+    const StreamReport of_accel = is_shared ? of_gyro : Recover(mode, &accel);
     SetStamps(gyro, &imu.gyro);
     SetStamps(is_shared ? gyro : accel, &imu.accel);
     stamps.imus.emplace_back(of_gyro, of_accel);

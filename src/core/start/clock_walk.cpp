@@ -30,14 +30,6 @@ constexpr int kReweightings = 20;    // of increments and offsets
 constexpr double kStep = 4.0;        // times the usual increment: a step
 constexpr double kLeastStep = 5e-4;  // [s]
 
-/// A gyroscope sample and the marker where the clock puts it. That the growth is the gyroscope's
-/// and not the poses' keeps mistakes of these from looking like motion.
-struct Sample {
-  double t;               ///< [s] IMU clock
-  Eigen::Vector3d r, a;   ///< [rad/s] measured less expected, [rad/s^2] its growth with the offset
-  Eigen::Vector3d omega;  ///< [rad/s] measured
-};
-
 /// Offsets near the knots, as the samples around each tell alone.
 struct LocalOffsets {
   std::vector<double> z, variance;  ///< [s], [s^2]; infinite where there is no motion
@@ -59,7 +51,8 @@ struct Walk {
   std::vector<double> error2;      ///< the local offsets' errors, in usual variances
 };
 
-/// [rad/s^2] of the sample's time.
+/// [rad/s^2] of a residual with the offset. That it is the gyroscope's and not the poses' keeps
+/// mistakes of these from looking like motion.
 Eigen::Vector3d Growth(const std::vector<TimedSample>& gyro, size_t sample) {
   size_t begin = sample, end = sample;
   while (begin > 0 && gyro[begin].t > gyro[sample].t - kReach) --begin;
@@ -67,37 +60,19 @@ Eigen::Vector3d Growth(const std::vector<TimedSample>& gyro, size_t sample) {
   return (gyro[end].value - gyro[begin].value) / (gyro[end].t - gyro[begin].t);
 }
 
-/// Every sample that the clock puts on the trajectory, about kRate, and how the rates align there.
-std::vector<Sample> Compare(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                            const ClockLine& line, const ClockWalk& walk,
-                            RateAlignment* alignment) {
-  const double duration = gyro.back().t - gyro.front().t;
-  const size_t stride =
-      std::max<size_t>(1, static_cast<size_t>(static_cast<double>(gyro.size()) / duration / kRate));
-  std::vector<RatePair> pairs;
-  std::vector<Sample> samples;
-  for (size_t i = 0; i < gyro.size(); i += stride) {
-    const double t_M = line.PoseTime(gyro[i].t) + walk.At(gyro[i].t);
-    MarkerRotation<double> marker;
-    if (!trajectory.EvaluateRotation(t_M, &marker)) continue;
-    pairs.push_back({t_M, marker.omega_M, gyro[i].value});
-    samples.push_back({gyro[i].t, Eigen::Vector3d::Zero(), Growth(gyro, i), gyro[i].value});
-  }
-  *alignment = AlignRates(pairs);
-  for (size_t i = 0; i < pairs.size(); ++i) samples[i].r = alignment->Residual(pairs[i]);
-  return samples;
-}
-
 /// Around each knot least squares for the offset, beside errors of the rates that last as long: of
 /// the bias, and of scale, axes and attitude. They have priors, so that where the body rests the
 /// samples tell nothing.
-LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk) {
+LocalOffsets FindLocal(const std::vector<TimedSample>& gyro, const std::vector<RatePair>& pairs,
+                       const RateAlignment& alignment, const ClockWalk& walk) {
   using Information = Eigen::Matrix<double, kLocal, kLocal>;
   using Vector = Eigen::Matrix<double, kLocal, 1>;
-  std::vector<double> magnitudes;
-  for (const Sample& s : samples)
-    for (int axis = 0; axis < 3; ++axis) magnitudes.push_back(s.r[axis]);
-  const double sigma = RobustSigma(std::move(magnitudes));
+  std::vector<double> residuals;
+  for (const RatePair& pair : pairs) {
+    const Eigen::Vector3d r = alignment.Residual(pair.gyro->value, pair.marker.omega_M);
+    residuals.insert(residuals.end(), r.data(), r.data() + 3);
+  }
+  const double sigma = RobustSigma(residuals);
   Vector prior = Vector::Constant(std::pow(sigma / kRateError, 2));
   prior[0] = 0.0;
   prior.tail<9>().setConstant(std::pow(sigma / kTurnError, 2));
@@ -105,15 +80,17 @@ LocalOffsets FindLocal(const std::vector<Sample>& samples, const ClockWalk& walk
   std::vector<Vector> b(walk.t.size(), Vector::Zero());
   std::vector<double> spurious(walk.t.size(), 0.0);  // information that is the noise of the growth
   const double growth_noise2 = 1.5 * std::pow(sigma / kReach, 2);
-  for (const Sample& s : samples) {
+  for (size_t i = 0; i < pairs.size(); ++i) {
+    const TimedSample& s = *pairs[i].gyro;
+    const Eigen::Map<const Eigen::Vector3d> r(&residuals[3 * i]);
     const auto knot = static_cast<size_t>(std::round((s.t - walk.t[0]) / kInterval));
-    const double weight = 1.0 / (1.0 + s.r.squaredNorm() / std::pow(kRobust * sigma, 2));
+    const double weight = 1.0 / (1.0 + r.squaredNorm() / std::pow(kRobust * sigma, 2));
     Eigen::Matrix<double, 3, kLocal> J = Eigen::Matrix<double, 3, kLocal>::Zero();
-    J.col(0) = s.a;
+    J.col(0) = Growth(gyro, static_cast<size_t>(&s - gyro.data()));
     J.block<3, 3>(0, 1).setIdentity();
-    for (int axis = 0; axis < 3; ++axis) J.block<1, 3>(axis, 4 + 3 * axis) = s.omega.transpose();
+    for (int axis = 0; axis < 3; ++axis) J.block<1, 3>(axis, 4 + 3 * axis) = s.value.transpose();
     H[knot] += (weight * J.transpose()).lazyProduct(J);
-    b[knot] += (weight * J.transpose()).lazyProduct(s.r);
+    b[knot] += (weight * J.transpose()).lazyProduct(r);
     spurious[knot] += weight * growth_noise2;
   }
   LocalOffsets local;
@@ -222,7 +199,7 @@ size_t FindStep(const PoseTrajectory& trajectory, const std::vector<TimedSample>
       const double t_M = line.PoseTime(s->t) + offset;
       MarkerRotation<double> marker;
       if (!trajectory.EvaluateRotation(t_M, &marker)) return 0.0;
-      return alignment.Residual({t_M, marker.omega_M, s->value}).squaredNorm();
+      return alignment.Residual(s->value, marker.omega_M).squaredNorm();
     };
     gain += squared(after) - squared(before);
     if (gain <= most) continue;
@@ -252,13 +229,13 @@ struct Knot {
 /// Puts two knots for each step between the samples that it parts, of which the walk so far is a
 /// ramp over some knots. `increment_std`: of the walk beside them, over kInterval.
 void CutAtSteps(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                const ClockLine& line, const RateAlignment& alignment,
-                const std::vector<double>& tails, double increment_std, ClockWalk* walk) {
-  const std::vector<double>&t = walk->t, &offset = walk->offset;
+                const RateAlignment& alignment, const std::vector<double>& tails,
+                double increment_std, Clock* clock) {
+  const std::vector<double>&t = clock->walk.t, &offset = clock->walk.offset;
   const size_t last = t.size() - 1;
   std::vector<Knot> knots;
   for (size_t k = 0; k <= last; ++k)
-    knots.push_back({t[k], offset[k], k < last ? walk->std[k] : 0.0, false});
+    knots.push_back({t[k], offset[k], k < last ? clock->walk.std[k] : 0.0, false});
   const auto rise = [&](size_t k) {
     return k == 0 || k == last ? 0.0 : std::abs(offset[k + 1] - offset[k - 1]);
   };
@@ -268,7 +245,7 @@ void CutAtSteps(const PoseTrajectory& trajectory, const std::vector<TimedSample>
     if (rise(k - 1) > rise(k) || rise(k + 1) >= rise(k)) continue;
     const double before = offset[k - 1], after = offset[k + 1];
     const size_t sample =
-        FindStep(trajectory, gyro, line, alignment, t[k - 1], t[k + 1], before, after);
+        FindStep(trajectory, gyro, *clock, alignment, t[k - 1], t[k + 1], before, after);
     if (sample + 1 >= gyro.size()) continue;
     // Between the samples, and beside the knot that may lie there.
     const double next = gyro[sample + 1].t;
@@ -283,13 +260,13 @@ void CutAtSteps(const PoseTrajectory& trajectory, const std::vector<TimedSample>
   ClockWalk cut;
   for (const Knot& knot : knots) {
     if (knot.steps) cut.steps.push_back(cut.t.size());
-    if (knot.t == line.clock_reference) cut.reference = cut.t.size();
+    if (knot.t == clock->clock_reference) cut.reference = cut.t.size();
     cut.t.push_back(knot.t);
     cut.offset.push_back(knot.offset);
     cut.std.push_back(knot.std);
   }
   cut.std.pop_back();
-  *walk = std::move(cut);
+  clock->walk = std::move(cut);
 }
 
 }  // namespace
@@ -306,31 +283,46 @@ double ClockWalk::At(double instant) const {
   return (1.0 - u) * offset[k] + u * offset[k + 1];
 }
 
-ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                       ClockLine* line) {
-  ClockWalk walk = EvenKnots(gyro, line->clock_reference);
+double Clock::ImuTime(double t_M) const {
+  double t = ClockLine::ImuTime(t_M);
+  // The walk is slow: each round leaves what it changes by within the change of the last one.
+  for (int round = 0; round < 4 && !walk.IsLine(); ++round)
+    t = ClockLine::ImuTime(t_M - walk.At(t));
+  return t;
+}
+
+void FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                  Clock* clock) {
+  Clock found = *clock;
+  ClockWalk& walk = found.walk;
+  walk = EvenKnots(gyro, clock->clock_reference);
   const size_t count = walk.t.size();
-  if (count < 5) return {};
+  if (count < 5) return;
+  const double rate = static_cast<double>(gyro.size()) / (gyro.back().t - gyro.front().t);
+  const size_t stride = std::max<size_t>(1, static_cast<size_t>(rate / kRate));
   Tails tails{std::vector<double>(count - 1, 1.0), std::vector<double>(count, 1.0)};
   Tails of_line = tails;
-  Walk found;
+  Walk smoothed;
   RateAlignment alignment;
   for (int round = 0; round < kRounds; ++round) {
-    const LocalOffsets local = FindLocal(Compare(trajectory, gyro, *line, walk, &alignment), walk);
-    found = FindWalk(local, false, &tails);
-    if (found.offset.empty()) return {};
+    const auto pairs =
+        PairRates(trajectory, gyro, stride, [&](double t) { return found.PoseTime(t); });
+    alignment = AlignRates(pairs);
+    const LocalOffsets local = FindLocal(gyro, pairs, alignment, walk);
+    smoothed = FindWalk(local, false, &tails);
+    if (smoothed.offset.empty()) return;
     if (round == 0 &&
-        found.log_likelihood < FindWalk(local, true, &of_line).log_likelihood + kEvidence)
-      return {};
-    walk.offset = found.offset;
+        smoothed.log_likelihood < FindWalk(local, true, &of_line).log_likelihood + kEvidence)
+      return;
+    walk.offset = smoothed.offset;
   }
-  const double usual = std::sqrt(found.scale2 * found.density2 * kInterval);
+  const double usual = std::sqrt(smoothed.scale2 * smoothed.density2 * kInterval);
   for (size_t k = 0; k + 1 < count; ++k) walk.std.push_back(usual * std::sqrt(tails.increments[k]));
-  CutAtSteps(trajectory, gyro, *line, alignment, tails.increments, usual, &walk);
+  CutAtSteps(trajectory, gyro, alignment, tails.increments, usual, &found);
   const double shift = walk.offset[walk.reference];
   for (double& offset : walk.offset) offset -= shift;
-  line->time_shift += shift;
-  return walk;
+  found.time_shift += shift;
+  *clock = std::move(found);
 }
 
 }  // namespace imu_pose_calib

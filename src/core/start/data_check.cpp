@@ -44,22 +44,20 @@ StreamCheck CheckStream(const std::vector<Sample>& samples) {
   StreamCheck check;
   check.count = samples.size();
   if (samples.size() < 2) return check;
-  size_t repeated = 0, run = 0, longest_run = 0;
-  const std::vector<int64_t> recorded = Stamps(samples);
-  const std::vector<StampFault> faults = JudgeStamps(recorded);
+  const auto n = static_cast<double>(samples.size());
   const std::vector<bool> repeats = FindRepeats(samples);
-  std::vector<int64_t> stamps;
-  for (size_t i = 0; i < samples.size(); ++i) {
-    if (faults[i] != StampFault::kAstray && faults[i] != StampFault::kAhead)
-      stamps.push_back(recorded[i]);
-    if (i == 0) continue;
-    run = repeats[i] ? run + 1 : 0;
-    repeated += run > 0 ? 1 : 0;
+  check.repeated = static_cast<double>(std::count(repeats.begin(), repeats.end(), true)) / n;
+  size_t run = 0, longest_run = 0;
+  for (const bool is_repeat : repeats) {
+    run = is_repeat ? run + 1 : 0;
     longest_run = std::max(longest_run, run);
   }
-  const auto n = static_cast<double>(samples.size());
-  check.repeated = static_cast<double>(repeated) / n;
 
+  const std::vector<StampFault> faults = JudgeStamps(Stamps(samples));
+  std::vector<int64_t> stamps;
+  for (size_t i = 0; i < samples.size(); ++i)
+    if (faults[i] != StampFault::kAstray && faults[i] != StampFault::kAhead)
+      stamps.push_back(samples[i].t_ns);
   std::sort(stamps.begin(), stamps.end());
   if (stamps.size() < 2) return check;
   check.duration_s = 1e-9 * static_cast<double>(stamps.back() - stamps.front());
@@ -102,22 +100,22 @@ double CutOf(const std::vector<int64_t>& stamps_ns) {
 /// The same of a stream whose stamps were looked at, and perhaps replaced, in `samples`.
 template <typename Sample>
 StreamCheck CheckStream(const std::vector<Sample>& recorded, const std::vector<Sample>& samples,
-                        const StreamStamps& stamps) {
+                        const StreamReport& stamps) {
   StreamCheck check = CheckStream(samples);
-  if (stamps.recovered) {
+  if (stamps.stamps_recovered) {
     const StreamCheck before = CheckStream(recorded);
     check.jitter_s = before.jitter_s;
     check.bunched = before.bunched;
   }
-  if (!stamps.even) check.cut_s = CutOf(Stamps(recorded));
-  check.stamps = stamps;
+  if (!stamps.stamps_even) check.cut_s = CutOf(Stamps(recorded));
+  check.report = stamps;
   return check;
 }
 
 void WarnOfStamps(const std::string& stream, const StreamCheck& check, const StreamBounds& most,
                   std::vector<std::string>* warnings) {
   const auto warn = [&](const std::string& text) { warnings->push_back(stream + ": " + text); };
-  if (check.stamps.recovered) {
+  if (check.report.stamps_recovered) {
     // The stamps in use are even.
   } else if (check.bunched > kMaxBunched) {
     warn(Percent(check.bunched) +
@@ -207,12 +205,14 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
   std::vector<Equations> blocks(1 +
                                 static_cast<size_t>((data.gyro.back().t - begin) / kDriftBlock));
   const Eigen::Matrix3d R_IM = start.q_MI.conjugate().toRotationMatrix();
-  double motion = 0.0, residual = 0.0, count = 0.0;
-  for (size_t i = 0; i < data.gyro.size(); i += Stride(data.gyro.size())) {
-    const TimedSample& s = data.gyro[i];
-    MarkerRotation<double> marker;
-    if (!trajectory.EvaluateRotation(s.t + start.time_shift, &marker)) continue;
-    const Eigen::Vector3d omega_I = R_IM * marker.omega_M, alpha_I = R_IM * marker.alpha_M;
+  const auto pairs = PairRates(trajectory, data.gyro, Stride(data.gyro.size()),
+                               [&](double t) { return t + start.time_shift; });
+  if (pairs.size() < 100) return;
+  double motion = 0.0, residual = 0.0;
+  for (const RatePair& pair : pairs) {
+    const TimedSample& s = *pair.gyro;
+    const Eigen::Vector3d omega_I = R_IM * pair.marker.omega_M;
+    const Eigen::Vector3d alpha_I = R_IM * pair.marker.alpha_M;
     const Eigen::Vector3d turn = s.value - start.gyro_bias, r = turn - omega_I;
     Eigen::Matrix<double, 3, 8> J;
     J << Hat(omega_I), Eigen::Matrix3d::Identity(), alpha_I, (s.t - middle) * alpha_I;
@@ -221,9 +221,7 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
     block.b += J.transpose().lazyProduct(r);
     residual += r.squaredNorm();
     motion += turn.squaredNorm();
-    count += 1.0;
   }
-  if (count < 100.0) return;
   Equations all;
   for (const Equations& block : blocks) {
     all.H += block.H;
@@ -242,15 +240,15 @@ void MeasureDrift(const ConditionedImu& data, const PoseTrajectory& trajectory, 
   check->drift_ppm_std = 1e6 * std::sqrt(std::max(0.0, covariance(7, 7)));
 }
 
-/// act(name, check, report) of all streams.
+/// act(name, check) of all streams.
 template <typename Act>
 void ForEachStream(const DataCheck& check, const Act& act) {
-  act("pose", check.poses, check.poses_report);
+  act("pose", check.poses);
   for (size_t i = 0; i < check.imus.size(); ++i) {
     const ImuCheck& imu = check.imus[i];
     const std::string of = OfImu(i, check.imus.size());
-    act("gyroscope" + of, imu.gyro, imu.gyro_report);
-    act("accelerometer" + of, imu.accel, imu.accel_report);
+    act("gyroscope" + of, imu.gyro);
+    act("accelerometer" + of, imu.accel);
   }
 }
 
@@ -278,20 +276,8 @@ struct Motion {
   }
 };
 
-}  // namespace
-
-std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& frame) {
-  const Eigen::Vector3d axis = direction.normalized();
-  int largest = 0;
-  if (axis.cwiseAbs().maxCoeff(&largest) > std::cos(20.0 * M_PI / 180.0))
-    return frame + " " + "xyz"[largest];
-  const double sign = axis[largest] < 0.0 ? -1.0 : 1.0;
-  return "(" + Number(sign * axis.x(), "%.2f") + ", " + Number(sign * axis.y(), "%.2f") + ", " +
-         Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
-}
-
-void CheckTurns(const PoseTrajectory& trajectory) {
-  const Motion motion(trajectory);
+/// Throws DegenerateMotion unless the marker turns about two axes.
+void CheckTurns(const Motion& motion) {
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(
       motion.covariance.topLeftCorner<3, 3>());
   const double noise = motion.rate_noise;
@@ -313,45 +299,53 @@ void CheckTurns(const PoseTrajectory& trajectory) {
                          "p_MI along " + axis + ": turn about a second axis");
 }
 
-DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
-                       const SessionStamps& stamps) {
-  DataCheck check;
-  check.poses = CheckStream(recorded.poses, session.poses, stamps.poses);
-  check.imus.resize(session.imus.size());
-  for (size_t i = 0; i < session.imus.size(); ++i) {
-    const ImuData &before = recorded.imus[i], &after = session.imus[i];
-    check.imus[i].gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
-    check.imus[i].accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
-  }
-  ForEachStream(check, [&](const std::string& name, const StreamCheck& of, const StreamReport&) {
-    WarnOfStamps(name, of, &of == &check.poses ? kPoseBounds : kImuBounds, &check.warnings);
-  });
-  return check;
+}  // namespace
+
+std::string DescribeAxis(const Eigen::Vector3d& direction, const std::string& frame) {
+  const Eigen::Vector3d axis = direction.normalized();
+  int largest = 0;
+  if (axis.cwiseAbs().maxCoeff(&largest) > std::cos(20.0 * M_PI / 180.0))
+    return frame + " " + "xyz"[largest];
+  const double sign = axis[largest] < 0.0 ? -1.0 : 1.0;
+  return "(" + Number(sign * axis.x(), "%.2f") + ", " + Number(sign * axis.y(), "%.2f") + ", " +
+         Number(sign * axis.z(), "%.2f") + ") in the " + frame + " frame";
 }
 
-void RefuseBunches(const DataCheck& check) {
-  ForEachStream(check, [](const std::string& name, const StreamCheck& of, const StreamReport&) {
-    if (of.stamps.recovered || of.bunched <= kMostBunched) return;
+void CheckStreams(const SessionData& recorded, const SessionData& session,
+                  const SessionStamps& stamps, DataCheck* check) {
+  *check = DataCheck();
+  check->poses = CheckStream(recorded.poses, session.poses, stamps.poses);
+  check->imus.resize(session.imus.size());
+  for (size_t i = 0; i < session.imus.size(); ++i) {
+    const ImuData &before = recorded.imus[i], &after = session.imus[i];
+    check->imus[i].gyro = CheckStream(before.gyro, after.gyro, stamps.imus[i].first);
+    check->imus[i].accel = CheckStream(before.accel, after.accel, stamps.imus[i].second);
+  }
+  ForEachStream(*check, [&](const std::string& name, const StreamCheck& of) {
+    WarnOfStamps(name, of, &of == &check->poses ? kPoseBounds : kImuBounds, &check->warnings);
+  });
+  ForEachStream(*check, [](const std::string& name, const StreamCheck& of) {
+    if (of.report.stamps_recovered || of.bunched <= kMostBunched) return;
     const auto percent = [](double share) { return Number(100.0 * share, "%.3g %%"); };
-    throw DataError(name + ": " + percent(of.bunched) +
-                    " of the samples are stamped in bunches (bound: " + percent(kMostBunched) +
-                    "), as by time of arrival, and no even clock fits them; record stamps of the "
-                    "sensor's own clock");
+    Throw<DataError>(name, ": ", percent(of.bunched),
+                     " of the samples are stamped in bunches (bound: ", percent(kMostBunched),
+                     "), as by time of arrival, and no even clock fits them; record stamps of the "
+                     "sensor's own clock");
   });
 }
 
 void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
-                 const PoseTrajectory& trajectory, DataCheck* check) {
-  check->poses_report = data.pose_report;
+                 const PoseTrajectory& trajectory, bool must_turn, DataCheck* check) {
+  check->poses.report = data.pose_report;
   check->segments = data.segments.size();
   check->gaps = data.gaps;
   check->jumps = data.jumps;
   for (size_t i = 0; i < data.imus.size(); ++i) {
-    check->imus[i].gyro_report = data.imus[i].gyro_report;
-    check->imus[i].accel_report = data.imus[i].accel_report;
+    check->imus[i].gyro.report = data.imus[i].gyro_report;
+    check->imus[i].accel.report = data.imus[i].accel_report;
   }
-  ForEachStream(*check, [&](const std::string& name, const StreamCheck&, const StreamReport& r) {
-    WarnOfDrops(name, r, &check->warnings);
+  ForEachStream(*check, [&](const std::string& name, const StreamCheck& of) {
+    WarnOfDrops(name, of.report, &check->warnings);
   });
   if (data.jumps > 0 && data.pose_report.flipped == 0)
     check->warnings.push_back(
@@ -359,7 +353,8 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
         " jumps; the poses are cut there, but they must all be in one frame W up to a turn about "
         "gravity and a move");
 
-  const Vector6d rms = Motion(trajectory).covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
+  const Motion motion(trajectory);
+  const Vector6d rms = motion.covariance.diagonal().cwiseMax(0.0).cwiseSqrt();
   check->turns_M = rms.head<3>();
   check->moves_W = rms.tail<3>();
 
@@ -374,6 +369,7 @@ void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
           Number(imu.rest_norm) + " m/s^2 (bound: within " + Percent(kMaxGravityError) +
           " of gravity_magnitude = " + Number(g) + "); check its scale and biases");
   }
+  if (must_turn) CheckTurns(motion);
 }
 
 void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
@@ -406,11 +402,6 @@ void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
                               Number(match.drift_ppm_std) + " ppm, " + Number(1e3 * drifted) +
                               " ms over the recording (bound: " + Number(1e3 * kLeastTime) +
                               " ms): set estimate_clock_drift: true");
-}
-
-const char* ToString(DataVerdict verdict) {
-  constexpr const char* kNames[] = {"good", "usable", "record again"};
-  return kNames[static_cast<int>(verdict)];
 }
 
 }  // namespace imu_pose_calib

@@ -64,8 +64,9 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
   Eigen::ArrayXd residual = Eigen::ArrayXd::Zero(size), motion = residual, count = residual;
   for (Eigen::Index k = 0; k < size; ++k) {
     for (const RatePair& pair : segments[static_cast<size_t>(k)]) {
-      residual[k] += alignment.Residual(pair).squaredNorm();
-      motion[k] += (pair.gyro_I - alignment.gyro_bias).squaredNorm();
+      const Eigen::Vector3d& gyro_I = pair.gyro->value;
+      residual[k] += alignment.Residual(gyro_I, pair.marker.omega_M).squaredNorm();
+      motion[k] += (gyro_I - alignment.gyro_bias).squaredNorm();
       count[k] += 1.0;
     }
   }
@@ -84,28 +85,19 @@ RotationAgreement Judge(const std::vector<SegmentRates>& segments, const RateAli
 }
 
 /// The alignment that most of the motion agrees on, of those of all segments and of each one.
-RotationAgreement FindAgreement(const std::vector<SegmentRates>& segments) {
-  SegmentRates all;
-  for (const SegmentRates& pairs : segments) all.insert(all.end(), pairs.begin(), pairs.end());
+RotationAgreement FindAgreement(const ConditionedData& data, const std::vector<RatePair>& all) {
+  std::vector<SegmentRates> segments(data.segments.size());
+  size_t k = 0;
+  for (const RatePair& pair : all) {
+    while (data.poses[data.segments[k].end - 1].t < pair.t) ++k;
+    segments[k].push_back(pair);
+  }
   RotationAgreement best = Judge(segments, AlignRates(all));
   for (const SegmentRates& pairs : segments) {
     const RotationAgreement candidate = Judge(segments, AlignRates(pairs));
     if (candidate.cost < best.cost) best = candidate;
   }
   return best;
-}
-
-/// Gyro samples by the segment of the trajectory that they fall on.
-std::vector<SegmentRates> PairRatesBySegment(const PoseTrajectory& trajectory,
-                                             const ConditionedData& data, const ConditionedImu& imu,
-                                             double time_shift) {
-  std::vector<SegmentRates> segments(data.segments.size());
-  for (const RatePair& pair : PairRates(trajectory, imu.gyro, time_shift)) {
-    size_t k = 0;
-    while (data.poses[data.segments[k].end - 1].t < pair.t) ++k;
-    segments[k].push_back(pair);
-  }
-  return segments;
 }
 
 /// Gravity is estimated without knowing its magnitude: another one means another unit or none.
@@ -182,11 +174,12 @@ void RemoveFlippedSegments(const CalibrationOptions& options, PoseTrajectory* tr
                            ConditionedData* data) {
   if (data->segments.size() < 2 || data->imus.empty()) return;
   const size_t first = data->FirstImu();
-  const ConditionedImu& imu = data->imus[first];
+  const std::vector<TimedSample>& gyro = data->imus[first].gyro;
   const std::vector<double> shifts = CandidateShifts(options, *trajectory, *data, first);
   std::vector<RotationAgreement> agreements(shifts.size());
   InParallel(options.Threads(), shifts.size(), [&](size_t k) {
-    agreements[k] = FindAgreement(PairRatesBySegment(*trajectory, *data, imu, shifts[k]));
+    agreements[k] = FindAgreement(*data, PairRates(*trajectory, gyro, Stride(gyro.size()),
+                                                   [&](double t) { return t + shifts[k]; }));
   });
   RotationAgreement best;
   for (const RotationAgreement& agreement : agreements)
@@ -247,11 +240,11 @@ Start Initialise(const CalibrationOptions& options, const PoseTrajectory& trajec
   start.q_MI = options.estimate_rotation ? best.q_MI : options.initial_rotation->normalized();
   start.gyro_bias = best.gyro_bias;
   start.accel_delay = options.accel_delay;
-  ClockLine line{best.time_shift, 0.0, samples.MiddleOfGyro()};
+  start.time_shift = best.time_shift;
+  start.clock_reference = samples.MiddleOfGyro();
   if (options.method == Method::kJoint && options.estimate_clock_walk &&
       options.estimate_time_shift)
-    start.walk = FitClockWalk(trajectory, samples.gyro, &line);
-  start.time_shift = line.time_shift;
+    FitClockWalk(trajectory, samples.gyro, &start);
   FitLeverArm(trajectory, samples.accel, options.GravityMagnitude(), options.estimate_accel_delay,
               options.Threads(), &start);
   if (!options.estimate_translation) start.p_MI = *options.initial_translation;

@@ -22,24 +22,23 @@ Start StartOf(const CalibrationOptions& options, const PreparedSession& session,
 }  // namespace
 
 void CheckSingle(const CalibrationOptions& options, size_t imus, size_t sessions) {
-  const auto refuse = [](const char* option, const char* what) {
-    throw InputError(std::string(option) + " = false needs a single " + what +
-                     ": one value is given, but there are several");
+  const auto check = [](const char* name, bool is_estimated, size_t count, const char* what) {
+    if (!is_estimated && count > 1)
+      Throw<InputError>(name, " = false needs a single ", what,
+                        ": one value is given, but there are several");
   };
-  if (imus > 1 && !options.estimate_rotation) refuse("estimate_rotation", "imu");
-  if (imus > 1 && !options.estimate_translation) refuse("estimate_translation", "imu");
-  if (imus > 1 && !options.estimate_accel_delay) refuse("estimate_accel_delay", "imu");
-  if (imus * sessions > 1 && !options.estimate_time_shift)
-    refuse("estimate_time_shift", "imu and recording");
-  if (sessions > 1 && !options.estimate_gravity) refuse("estimate_gravity", "recording");
+  check("estimate_rotation", options.estimate_rotation, imus, "imu");
+  check("estimate_translation", options.estimate_translation, imus, "imu");
+  check("estimate_accel_delay", options.estimate_accel_delay, imus, "imu");
+  check("estimate_time_shift", options.estimate_time_shift, imus * sessions, "imu and recording");
+  check("estimate_gravity", options.estimate_gravity, sessions, "recording");
 }
 
 PreparedSession Prepare(const CalibrationOptions& options, const SessionData& recorded,
                         DataCheck* check) {
   SessionData session = recorded;
   const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
-  *check = CheckStreams(recorded, session, stamps);
-  RefuseBunches(*check);
+  CheckStreams(recorded, session, stamps, check);
   PreparedSession prepared;
   prepared.data = ConditionData(options, session, stamps);
   PoseTrajectory trajectory = FitTrajectory(options, &prepared.data);
@@ -47,10 +46,10 @@ PreparedSession Prepare(const CalibrationOptions& options, const SessionData& re
   prepared.pose_noise = {trajectory.position_hyperparameters().noise_std,
                          trajectory.rotation_hyperparameters().noise_std};
   prepared.trajectory = std::make_shared<const PoseTrajectory>(std::move(trajectory));
-  CheckMotion(options, prepared.data, *prepared.trajectory, check);
   // With a known lever arm or rotation a turn about one axis may do: the covariance will tell.
   const bool is_free = options.estimate_translation && options.estimate_rotation;
-  if (is_free || prepared.data.imus.empty()) CheckTurns(*prepared.trajectory);
+  CheckMotion(options, prepared.data, *prepared.trajectory, is_free || prepared.data.imus.empty(),
+              check);
   for (size_t i = 0; i < prepared.data.imus.size(); ++i) {
     const bool is_present = prepared.data.imus[i].IsPresent();
     prepared.starts.push_back(is_present ? StartOf(options, prepared, i) : Start());

@@ -28,10 +28,6 @@ struct Signal {
     value[static_cast<Eigen::Index>(bin)] += x;
     weight[static_cast<Eigen::Index>(bin)] += 1.0;
   }
-  void Average() {
-    value /= weight.max(1.0);
-    weight = weight.min(1.0);
-  }
   size_t size() const { return static_cast<size_t>(value.size()); }
 };
 
@@ -90,15 +86,12 @@ double Evidence(double correlation, double n) {
 size_t Stride(size_t size) { return std::max<size_t>(1, size / kMaxSamples); }
 
 std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
-                                const std::vector<TimedSample>& gyro, double time_shift,
-                                bool inverted) {
+                                const std::vector<TimedSample>& gyro, size_t stride,
+                                const std::function<double(double t)>& pose_time) {
   std::vector<RatePair> pairs;
-  for (size_t i = 0; i < gyro.size(); i += Stride(gyro.size())) {
-    const double t = gyro[i].t + time_shift;
-    MarkerRotation<double> marker;
-    if (!trajectory.EvaluateRotation(t, &marker)) continue;
-    if (inverted) marker.omega_M = -(marker.q_WM * marker.omega_M);
-    pairs.push_back({t, marker.omega_M, gyro[i].value});
+  for (size_t i = 0; i < gyro.size(); i += stride) {
+    RatePair pair{&gyro[i], pose_time(gyro[i].t), {}};
+    if (trajectory.EvaluateRotation(pair.t, &pair.marker)) pairs.push_back(pair);
   }
   return pairs;
 }
@@ -109,8 +102,8 @@ RateAlignment AlignRates(const std::vector<RatePair>& pairs) {
   if (pairs.size() < 10) return alignment;
   Eigen::Matrix3Xd marker(3, pairs.size()), gyro(3, pairs.size());
   for (size_t i = 0; i < pairs.size(); ++i) {
-    marker.col(static_cast<Eigen::Index>(i)) = pairs[i].omega_M;
-    gyro.col(static_cast<Eigen::Index>(i)) = pairs[i].gyro_I;
+    marker.col(static_cast<Eigen::Index>(i)) = pairs[i].marker.omega_M;
+    gyro.col(static_cast<Eigen::Index>(i)) = pairs[i].gyro->value;
   }
   const Eigen::Isometry3d T_MI(Eigen::umeyama(gyro, marker, false));
   alignment.q_MI = Eigen::Quaterniond(T_MI.linear());
@@ -124,10 +117,6 @@ RateAlignment AlignRates(const std::vector<RatePair>& pairs) {
       marker.cwiseProduct(T_MI.linear() * gyro).sum() / std::sqrt(std::max(sum_M * sum_I, 1e-24));
   alignment.explained = correlation * std::abs(correlation);
   return alignment;
-}
-
-Eigen::Vector3d RateAlignment::Residual(const RatePair& pair) const {
-  return pair.gyro_I - gyro_bias - q_MI.conjugate() * pair.omega_M;
 }
 
 std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
@@ -144,7 +133,8 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
   Signal imu(bins(gyro.back().t - gyro_begin));
   for (const TimedSample& s : gyro)
     imu.Add(static_cast<size_t>((s.t - gyro_begin) / kRateBin), s.value.norm());
-  imu.Average();
+  imu.value /= imu.weight.max(1.0);  // the mean of the samples in a bin
+  imu.weight = imu.weight.min(1.0);
 
   const MaskedCorrelation correlation(marker, imu, threads);
   const auto shift = [&](double lag) { return lag * kRateBin - gyro_begin; };
@@ -180,7 +170,11 @@ RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<Tim
                          const std::vector<double>& time_shifts, bool inverted, int threads) {
   std::vector<RateAlignment> all(time_shifts.size());
   InParallel(threads, all.size(), [&](size_t k) {
-    all[k] = AlignRates(PairRates(trajectory, gyro, time_shifts[k], inverted));
+    auto pairs = PairRates(trajectory, gyro, Stride(gyro.size()),
+                           [&](double t) { return t + time_shifts[k]; });
+    for (RatePair& pair : pairs)
+      if (inverted) pair.marker.omega_M = -(pair.marker.q_WM * pair.marker.omega_M);
+    all[k] = AlignRates(pairs);
     all[k].time_shift = time_shifts[k];
   });
   const auto evidence = [](const RateAlignment& a) {

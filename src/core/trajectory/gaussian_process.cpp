@@ -24,11 +24,11 @@ int FirstBump(const BumpGrid& grid, double t) {
   return std::clamp(j, 0, grid.size - kSupport);
 }
 
-/// Grid of whole tiles that serves every t in [begin, end].
-BumpGrid GridOf(double begin, double end, double lengthscale_s) {
-  const double spacing = kSpacing * lengthscale_s;
-  const int size = static_cast<int>(std::floor((end - begin) / spacing)) + kSupport + 1;
-  return {lengthscale_s, begin - kHalfSupport * spacing, (size + kTile - 1) / kTile * kTile};
+/// Grid of whole tiles that serves all of t.
+BumpGrid GridOf(const Eigen::VectorXd& t, double lengthscale_s) {
+  const double spacing = kSpacing * lengthscale_s, duration = t[t.size() - 1] - t[0];
+  const int size = static_cast<int>(std::floor(duration / spacing)) + kSupport + 1;
+  return {lengthscale_s, t[0] - kHalfSupport * spacing, (size + kTile - 1) / kTile * kTile};
 }
 
 using BumpArray = Eigen::Array<double, kSupport, 1>;
@@ -190,16 +190,15 @@ struct WeightPosterior {
 WeightPosterior FitWeights(const GpData& data, const BumpGrid& grid, const GpHyperparameters& h) {
   Band A(static_cast<size_t>(grid.size / kTile), Eigen::MatrixXd::Zero(2 * kTile, 2 * kTile));
   Eigen::MatrixXd b = Eigen::MatrixXd::Zero(grid.size, data.y.cols());
+  const Eigen::VectorXd all = data.noise_scale.size() > 0 ? data.noise_scale.cwiseInverse().eval()
+                                                          : Eigen::VectorXd::Ones(data.t.size());
   ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
+    const auto per_noise = all.segment(group.begin, group.count).asDiagonal();
     BumpGroup::Columns values = group.value;
     auto F = values.leftCols(group.count);
-    const auto divide_by_noise = [&] {
-      if (data.noise_scale.size() > 0)
-        F *= data.noise_scale.segment(group.begin, group.count).cwiseInverse().asDiagonal();
-    };
-    divide_by_noise();
+    F *= per_noise;
     AddProduct(1.0, F, F, true, BlockOf(A, group.bump));
-    divide_by_noise();
+    F *= per_noise;
     b.middleRows<kSupport>(group.bump).noalias() += F * data.y.middleRows(group.begin, group.count);
   });
   const double weight_std = WeightStd(h);
@@ -216,9 +215,7 @@ WeightPosterior FitWeights(const GpData& data, const BumpGrid& grid, const GpHyp
 }  // namespace
 
 GaussianProcess::GaussianProcess(const GpData& data, const GpHyperparameters& h, bool with_variance)
-    : begin_(data.t[0]),
-      end_(data.t[data.t.size() - 1]),
-      grid_(GridOf(begin_, end_, h.lengthscale_s)) {
+    : grid_(GridOf(data.t, h.lengthscale_s)) {
   WeightPosterior posterior = FitWeights(data, grid_, h);
   const double weight_std = WeightStd(h);
   weights_.setZero(4, grid_.size);
@@ -235,11 +232,9 @@ GaussianProcess::Derivatives GaussianProcess::Evaluate(double t) const {
   return mean;
 }
 
-Eigen::Vector4d GaussianProcess::Value(double t, double* variance) const {
+Eigen::Vector4d GaussianProcess::Value(double t) const {
   const int j = FirstBump(grid_, t);
-  const Eigen::Matrix<double, kSupport, 1> bumps = BumpValues(grid_, j, t).value;
-  if (variance != nullptr) *variance = bumps.dot(BlockOf(covariance_, j).lazyProduct(bumps));
-  return weights_.middleCols<kSupport>(j).lazyProduct(bumps);
+  return weights_.middleCols<kSupport>(j).lazyProduct(BumpValues(grid_, j, t).value.matrix());
 }
 
 Eigen::Vector3d GaussianProcess::Variance(double t) const {
@@ -259,15 +254,12 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
   // F^T K^-1 y = mean, and for a change dF of F: tr(K^-1 dK) = 2 tr(A^-1 F^T dF) / noise^2.
   const auto n = data.t.size();
   const auto outputs = static_cast<double>(data.y.cols());
-  const BumpGrid grid = GridOf(data.t[0], data.t[n - 1], h.lengthscale_s);
+  const BumpGrid grid = GridOf(data.t, h.lengthscale_s);
   WeightPosterior posterior = FitWeights(data, grid, h);
   const double noise2 = h.noise_std * h.noise_std;
   const double weight_std = WeightStd(h);
 
-  double fit = posterior.mean.squaredNorm();
-  double length_fit = 0.0;
-  double tr_length = 0.0;
-  double residual_norm2 = 0.0;
+  double length_fit = 0.0, tr_length = 0.0, residual_norm2 = 0.0;
   Band inverse;  // of A
   if (gradient != nullptr) inverse = posterior.A.Inverse();
   ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
@@ -286,7 +278,7 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
     AddProduct(1.0, df, f, false, product);
     tr_length += BlockOf(inverse, group.bump).cwiseProduct(product).sum() / noise2;
   });
-  fit += residual_norm2 / noise2;
+  const double fit = posterior.mean.squaredNorm() + residual_norm2 / noise2;
   const double log_likelihood =
       -0.5 * fit -
       0.5 * outputs *

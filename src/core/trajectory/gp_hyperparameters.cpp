@@ -18,25 +18,6 @@ GpHyperparameters FromLogs(const Eigen::Vector3d& x) {
   return {std::exp(x[0]), std::exp(x[1]), std::exp(x[2])};
 }
 
-/// Of every `stride`-th of the data; x: logarithms of the hyperparameters, by which `gradient`
-/// (unless null) is.
-double SumOfLikelihoods(const std::vector<GpData>& data, size_t stride, const Eigen::Vector3d& x,
-                        int threads, Eigen::Vector3d* gradient) {
-  const GpHyperparameters h = FromLogs(x);
-  const size_t count = (data.size() + stride - 1) / stride;
-  std::vector<double> likelihoods(count);
-  std::vector<Eigen::Vector3d> gradients(count);
-  InParallel(threads, count, [&](size_t k) {
-    likelihoods[k] =
-        LogMarginalLikelihood(data[k * stride], h, gradient != nullptr ? &gradients[k] : nullptr);
-  });
-  if (gradient != nullptr) {
-    gradient->setZero();
-    for (const Eigen::Vector3d& g : gradients) *gradient += g;
-  }
-  return std::accumulate(likelihoods.begin(), likelihoods.end(), 0.0);
-}
-
 /// Negative log marginal likelihood in the logarithms of the three hyperparameters, with soft walls
 /// that keep them where the data can tell them.
 class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
@@ -51,8 +32,14 @@ class MarginalLikelihoodCost : public ceres::FirstOrderFunction {
     const Eigen::Map<const Eigen::Vector3d> logs(x);
     const Eigen::Vector3d clamped = logs.cwiseMax(low_ - kSlack).cwiseMin(high_ + kSlack);
     if (clamped != logs) return false;
-    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    *cost = -SumOfLikelihoods(data_, 1, logs, threads_, gradient != nullptr ? &sum : nullptr);
+    std::vector<double> likelihoods(data_.size());
+    std::vector<Eigen::Vector3d> gradients(data_.size());
+    InParallel(threads_, data_.size(), [&](size_t k) {
+      likelihoods[k] = LogMarginalLikelihood(data_[k], FromLogs(logs), &gradients[k]);
+    });
+    *cost = -std::accumulate(likelihoods.begin(), likelihoods.end(), 0.0);
+    const Eigen::Vector3d zero = Eigen::Vector3d::Zero();
+    Eigen::Vector3d sum = std::accumulate(gradients.begin(), gradients.end(), zero);
     const Eigen::Vector3d below = (low_ - logs).cwiseMax(0.0);
     const Eigen::Vector3d above = (logs - high_).cwiseMax(0.0);
     const double ratio = std::max(0.0, x[1] - x[2] - std::log(kMaxSignalToNoise));
@@ -104,7 +91,8 @@ Eigen::Vector3d FindBest(const std::vector<GpData>& data,
                          const std::vector<Eigen::Vector3d>& starts, int threads) {
   std::vector<double> likelihoods(starts.size());
   InParallel(threads, starts.size(), [&](size_t k) {
-    likelihoods[k] = SumOfLikelihoods(data, 1 + data.size() / 4, starts[k], 1, nullptr);
+    for (size_t i = 0; i < data.size(); i += 1 + data.size() / 4)
+      likelihoods[k] += LogMarginalLikelihood(data[i], FromLogs(starts[k]), nullptr);
   });
   const auto most = std::max_element(likelihoods.begin(), likelihoods.end());
   return starts[static_cast<size_t>(most - likelihoods.begin())];

@@ -89,12 +89,12 @@ std::vector<Eigen::Vector2d> LeaveOneOut(const PoseTrajectory& trajectory,
   std::vector<Eigen::Vector2d> normalised(poses.size());
   InPortions(threads, poses.size(), [&](size_t i) {
     const TimedPose& pose = poses[i];
-    Eigen::Vector2d variance;
-    const Rigid3 smooth = trajectory.PoseAt(pose.t, &variance);
+    const MarkerVariance variance = trajectory.Variance(pose.t);
+    const Rigid3 smooth = trajectory.PoseAt(pose.t);
     const double position = (pose.p_WM - smooth.p).norm();
     const double rotation = Log(Eigen::Quaterniond(smooth.q.conjugate() * pose.q_WM)).norm();
-    normalised[i] << normalise(position, variance[0], trajectory.position_hyperparameters()),
-        normalise(rotation, variance[1], trajectory.rotation_hyperparameters());
+    normalised[i] << normalise(position, variance.position, trajectory.position_hyperparameters()),
+        normalise(rotation, variance.rotation, trajectory.rotation_hyperparameters());
   });
   return normalised;
 }
@@ -217,8 +217,8 @@ PoseTrajectory::PoseTrajectory(const std::vector<TimedPose>& poses,
   });
   for (size_t k = 0; k < segments.size(); ++k) {
     Segment& segment = segments_[k];
-    segment.begin = segment.position.begin();
-    segment.end = segment.position.end();
+    segment.begin = poses[segments[k].begin].t;
+    segment.end = poses[segments[k].end - 1].t;
     if (k == 0 || segments_[k - 1].end < segment.begin) continue;
     segments_[k - 1].end = segment.begin = 0.5 * (segments_[k - 1].end + segment.begin);
   }
@@ -265,22 +265,15 @@ MarkerVariance PoseTrajectory::Variance(double t) const {
   const Segment* segment = Find(t);
   const Eigen::Vector3d p = segment->position.Variance(t);
   const Eigen::Vector3d q = 4.0 * segment->quaternion.Variance(t);  // an angle is twice its half
-  return {q[0], q[1], q[2], p[2]};
+  return {p[0], q[0], q[1], q[2], p[2]};
 }
 
-Rigid3 PoseTrajectory::PoseAt(double t, Eigen::Vector2d* variance) const {
-  return {RotationAt(t, variance != nullptr ? &variance->y() : nullptr),
-          PositionAt(t, variance != nullptr ? &variance->x() : nullptr)};
+Eigen::Vector3d PoseTrajectory::PositionAt(double t) const {
+  return origin_W_ + Find(t)->position.Value(t).head<3>();
 }
 
-Eigen::Vector3d PoseTrajectory::PositionAt(double t, double* variance) const {
-  return origin_W_ + Find(t)->position.Value(t, variance).head<3>();
-}
-
-Eigen::Quaterniond PoseTrajectory::RotationAt(double t, double* variance) const {
-  const Eigen::Vector4d q = Find(t)->quaternion.Value(t, variance);
-  if (variance != nullptr) *variance *= 4.0;  // an angle is twice its half
-  return Eigen::Quaterniond(q).normalized();
+Eigen::Quaterniond PoseTrajectory::RotationAt(double t) const {
+  return Eigen::Quaterniond(Find(t)->quaternion.Value(t)).normalized();
 }
 
 PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData* data) {

@@ -105,30 +105,29 @@ void DoubtPoseSource(const Calibration& result, std::vector<std::string>* doubts
                         "): something else is not as assumed");
 }
 
-void DoubtFilters(const Calibration& result, std::vector<std::string>* doubts) {
-  for (size_t i = 0; i < result.imus.size(); ++i) {
-    const double smoothing = result.imus[i].accel_smoothing;
-    if (std::abs(smoothing) <= kMostAccelSmoothing) continue;
-    doubts->push_back(std::string("the ") + (smoothing > 0.0 ? "accelerometer" : "gyroscope") +
-                      OfImu(i, result.imus.size()) + " averages over " +
-                      InWords(std::sqrt(std::abs(smoothing)), "s") + " more than the " +
-                      (smoothing > 0.0 ? "gyroscope" : "accelerometer") +
-                      " (bound: " + InWords(std::sqrt(kMostAccelSmoothing), "s") +
-                      "), and what that does to fast motion is undone in part only: set a faster "
-                      "filter, or move slowly");
-  }
+/// Of a mount that gives way by so much.
+std::string Resonance(double compliance) {
+  return Number(0.5 / (M_PI * std::sqrt(compliance)), "%.0f Hz");
 }
 
-void DoubtMounts(const Calibration& result, std::vector<std::string>* doubts) {
+void DoubtSensors(const Calibration& result, std::vector<std::string>* doubts) {
   for (size_t i = 0; i < result.imus.size(); ++i) {
+    const double smoothing = result.imus[i].accel_smoothing;
+    if (std::abs(smoothing) > kMostAccelSmoothing)
+      doubts->push_back(std::string("the ") + (smoothing > 0.0 ? "accelerometer" : "gyroscope") +
+                        OfImu(i, result.imus.size()) + " averages over " +
+                        InWords(std::sqrt(std::abs(smoothing)), "s") + " more than the " +
+                        (smoothing > 0.0 ? "gyroscope" : "accelerometer") +
+                        " (bound: " + InWords(std::sqrt(kMostAccelSmoothing), "s") +
+                        "), and what that does to fast motion is undone in part only: set a faster "
+                        "filter, or move slowly");
     const auto [compliance, sigma] = result.imus[i].Compliance();
-    if (compliance <= kMostCompliance || compliance <= kCertain * sigma) continue;
-    doubts->push_back(
-        "the mount of the imu" + OfImu(i, result.imus.size()) + " is soft: it resonates at some " +
-        Number(0.5 / (M_PI * std::sqrt(compliance)), "%.0f") +
-        " Hz (bound: " + Number(0.5 / (M_PI * std::sqrt(kMostCompliance)), "%.0f") +
-        " Hz) and gives way by " + InWords(result.sessions[0].g_W.norm() * compliance, "m") +
-        " to the imu's weight; the result is that without load. Fasten the imu");
+    if (compliance > std::max(kMostCompliance, kCertain * sigma))
+      doubts->push_back("the mount of the imu" + OfImu(i, result.imus.size()) +
+                        " is soft: it resonates at some " + Resonance(compliance) +
+                        " (bound: " + Resonance(kMostCompliance) + ") and gives way by " +
+                        InWords(result.sessions[0].g_W.norm() * compliance, "m") +
+                        " to the imu's weight; the result is that without load. Fasten the imu");
   }
 }
 
@@ -188,8 +187,7 @@ void DoubtResult(const std::vector<PreparedSession>& sessions, bool has_settled,
   DoubtHalves(*result, &doubts);
   DoubtNoise(sessions, *result, &doubts);
   DoubtPoseSource(*result, &doubts);
-  DoubtFilters(*result, &doubts);
-  DoubtMounts(*result, &doubts);
+  DoubtSensors(*result, &doubts);
   DoubtSmoothing(sessions, *result, &doubts);
   if (doubts.empty()) return;
   if (result->status == Status::kWeak) doubts.push_back(result->message);

@@ -60,6 +60,21 @@ double Correlation(const Marginals& m) {
   return ratio;
 }
 
+void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
+  const auto warn = [result](const std::string& text) { result->warnings.push_back(text); };
+  const double correlation = Correlation(marginals);
+  if (correlation > kCorrelated)
+    warn("the residuals are not independent noise: sigmas are up to " +
+         Number(correlation, "%.1f") + " times as large as with it");
+  for (size_t i = 0; i < result->imus.size(); ++i) {
+    const double delay = result->imus[i].accel_delay;
+    if (std::abs(delay) > kNotableDelay)
+      warn("the accelerometer's data" + OfImu(i, result->imus.size()) + " are " +
+           InWords(std::abs(delay), "s") + (delay > 0.0 ? " later" : " earlier") +
+           " than the gyroscope's of the same stamp: check the imu's filters and driver");
+  }
+}
+
 /// Sigmas of one parameter, but for p_MI and R_MI, which go together.
 void ReportParameter(const PlacedParameter& p, const Eigen::MatrixXd& C, Calibration* result) {
   const Eigen::VectorXd std_dev =
@@ -174,6 +189,7 @@ Status GradeSpectrum(const CalibrationOptions& options, std::vector<Observabilit
 
 void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
                  Calibration* result) {
+  WarnOfMisfit(marginals, result);
   if (!marginals.model.allFinite() || !marginals.robust.allFinite()) {
     result->status = Status::kDegenerate;
     result->message = std::string("the data do not determine all parameters; ") + kTurnAdvice;
@@ -206,21 +222,6 @@ void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
   for (const Observability& o : result->observability)
     if (o.status == Status::kDegenerate)
       result->unobservable.push_back(o.direction + ": turn faster, and about a second axis");
-}
-
-void WarnOfMisfit(const Marginals& marginals, Calibration* result) {
-  const auto warn = [result](const std::string& text) { result->warnings.push_back(text); };
-  const double correlation = Correlation(marginals);
-  if (correlation > kCorrelated)
-    warn("the residuals are not independent noise: sigmas are up to " +
-         Number(correlation, "%.1f") + " times as large as with it");
-  for (size_t i = 0; i < result->imus.size(); ++i) {
-    const double delay = result->imus[i].accel_delay;
-    if (std::abs(delay) > kNotableDelay)
-      warn("the accelerometer's data" + OfImu(i, result->imus.size()) + " are " +
-           InWords(std::abs(delay), "s") + (delay > 0.0 ? " later" : " earlier") +
-           " than the gyroscope's of the same stamp: check the imu's filters and driver");
-  }
 }
 
 }  // namespace imu_pose_calib

@@ -310,7 +310,7 @@ YAML::Node ToYaml(const CheckedStream& stream) {
   node["longest_gap_s"] = YamlNumber(stream.check.longest_gap_s);
   node["missing"] = YamlNumber(stream.check.missing);
   node["repeated"] = YamlNumber(stream.check.repeated);
-  node["recovered"] = stream.check.stamps.recovered;
+  node["recovered"] = stream.report.stamps_recovered;
   node["dropped"] = Dropped(stream.report);
   if (stream.latency)
     node["latency"] = YamlList(Eigen::Vector2d(stream.latency->median_s, stream.latency->spread_s));
@@ -322,11 +322,12 @@ DataCheck CheckSolved(const CalibrationOptions& options, const SessionData& reco
                       const SessionCalibration& solved) {
   SessionData session = recorded;
   const SessionStamps stamps = RecoverStamps(options.recover_stamps, &session);
-  DataCheck check = CheckStreams(recorded, session, stamps);
-  check.poses_report = solved.poses;
+  DataCheck check;
+  CheckStreams(recorded, session, stamps, &check);
+  check.poses.report = solved.poses;
   for (size_t i = 0; i < solved.imus.size(); ++i) {
-    check.imus[i].gyro_report = solved.imus[i].gyro;
-    check.imus[i].accel_report = solved.imus[i].accel;
+    check.imus[i].gyro.report = solved.imus[i].gyro;
+    check.imus[i].accel.report = solved.imus[i].accel;
   }
   return check;
 }

@@ -484,8 +484,9 @@ std::string Remarks(const CheckedStream& stream) {
   if (check.longest_freeze_s > kNotableFreeze)
     text += "; no new value for up to " + Time(check.longest_freeze_s);
   if (check.cut_s > 0.0) text += Format("; stamps are multiples of %g ms", 1e3 * check.cut_s);
-  text += Recovered(check.stamps.recovered, check.stamps.jitter_s);
-  if (!check.stamps.recovered && !check.stamps.even) text += "; stamps: uneven, as recorded";
+  text += Recovered(check.report.stamps_recovered, check.report.stamp_jitter_s);
+  if (!check.report.stamps_recovered && !check.report.stamps_even)
+    text += "; stamps: uneven, as recorded";
   if (check.bunched > 0.0) text += Format("; %.1f %% stamped in bunches", 100.0 * check.bunched);
   return text.empty() ? "" : Wrap("  " + stream.role + ": ", text.substr(2));
 }
@@ -579,14 +580,14 @@ std::string WrittenTo(const std::vector<std::string>& paths) {
 
 std::vector<CheckedStream> CheckedStreams(const DataCheck& check, const RecordingInfo& info) {
   std::vector<CheckedStream> streams = {
-      {"poses", 0, info.pose_topic, check.poses, check.poses_report, info.pose_latency}};
+      {"poses", 0, info.pose_topic, check.poses, check.poses.report, info.pose_latency}};
   for (size_t i = 0; i < check.imus.size(); ++i) {
     const ImuCheck& imu = check.imus[i];
     const ImuInfo& source = info.imus[i];
     streams.push_back(
-        {"gyro", i, source.GyroSource(), imu.gyro, imu.gyro_report, source.gyro_latency});
+        {"gyro", i, source.GyroSource(), imu.gyro, imu.gyro.report, source.gyro_latency});
     streams.push_back(
-        {"accel", i, source.AccelSource(), imu.accel, imu.accel_report, source.accel_latency});
+        {"accel", i, source.AccelSource(), imu.accel, imu.accel.report, source.accel_latency});
   }
   return streams;
 }

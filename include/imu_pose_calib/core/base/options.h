@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <array>
 #include <limits>
 #include <optional>
 
@@ -12,18 +13,25 @@ enum class Method {
   kJoint,  ///< trajectory and calibration estimated together (doc/math.md, S4)
   kGp,     ///< Gaussian-process trajectory held fixed, calibration fitted to it (doc/math.md, S3)
 };
+inline const char* ToString(Method method) { return method == Method::kJoint ? "joint" : "gp"; }
 
 /// What takes the steps of the joint solve.
 enum class SolverKind {
   kWindows,  ///< the own one, window by window of time (core/solver)
   kCeres,    ///< ceres::Solve on the same residuals, each pass to its minimum: slower
 };
+inline const char* ToString(SolverKind solver) {
+  return solver == SolverKind::kWindows ? "windows" : "ceres";
+}
 
 /// What is estimated of the IMU beside its biases.
 enum class ImuModel {
   kCalibrated,         ///< nothing: measured = true + bias + noise
   kScaleMisalignment,  ///< measured = M true + bias + noise, one matrix M per sensor
 };
+inline const char* ToString(ImuModel model) {
+  return model == ImuModel::kCalibrated ? "calibrated" : "scale_misalignment";
+}
 
 /// Where stamps are replaced by those of the source's own clock (doc/math.md, S0).
 enum class StampRecovery {
@@ -31,6 +39,9 @@ enum class StampRecovery {
   kAlways,  ///< where such a clock is found
   kNever,
 };
+inline const char* ToString(StampRecovery mode) {
+  return std::array{"auto", "always", "never"}[static_cast<size_t>(mode)];
+}
 
 /// What is known beforehand of the growth of a time shift: its sigma [s/s].
 constexpr double kDriftPrior = 1e-4;

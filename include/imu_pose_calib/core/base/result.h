@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <memory>
 #include <string>
@@ -30,6 +31,7 @@ struct StreamReport {
   double rate_hz = 0.0;         ///< 1 / median period of the samples used
   double duration_s = 0.0;      ///< first to last sample used
 
+  bool stamps_even = true;        ///< as recorded
   bool stamps_recovered = false;  ///< the stamps are those of the source's own clock, estimated
   double stamp_jitter_s = 0.0;    ///< rms of recorded less recovered stamp, about its mean
 };
@@ -40,6 +42,9 @@ enum class Status {
   kWeak,        ///< usable with care: a sigma beyond its threshold
   kDegenerate,  ///< the data do not determine the calibration; `message` names what is missing
 };
+inline const char* ToString(Status status) {
+  return std::array{"not run", "ok", "weak", "degenerate"}[static_cast<size_t>(status)];
+}
 
 /// How well one direction of the calibration is determined.
 struct Observability {
@@ -283,16 +288,5 @@ struct Calibration {
   /// The numbers may be used: status kOk or kWeak.
   bool IsUsable() const { return status == Status::kOk || status == Status::kWeak; }
 };
-
-/// "ok", "weak", "degenerate", "not run".
-const char* ToString(Status status);
-/// "joint", "gp".
-const char* ToString(Method method);
-/// "windows", "ceres".
-const char* ToString(SolverKind solver);
-/// "calibrated", "scale_misalignment".
-const char* ToString(ImuModel model);
-/// "auto", "always", "never".
-const char* ToString(StampRecovery mode);
 
 }  // namespace imu_pose_calib

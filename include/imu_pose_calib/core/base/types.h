@@ -29,14 +29,18 @@ struct Rigid3 {
   Eigen::Quaterniond q = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p = Eigen::Vector3d::Zero();
 
-  Rigid3 Inverse() const;
-  Eigen::Matrix4d Matrix() const;
+  Rigid3 Inverse() const { return {q.conjugate(), -(q.conjugate() * p)}; }
+  Eigen::Matrix4d Matrix() const { return (Eigen::Translation3d(p) * q).matrix(); }
 };
 
 /// T_XZ = T_XY T_YZ.
-Rigid3 operator*(const Rigid3& T_XY, const Rigid3& T_YZ);
+inline Rigid3 operator*(const Rigid3& T_XY, const Rigid3& T_YZ) {
+  return {T_XY.q * T_YZ.q, T_XY.q * T_YZ.p + T_XY.p};
+}
 /// `from` at u = 0, `to` at u = 1, and at the same speed between them.
-Rigid3 Interpolate(const Rigid3& from, const Rigid3& to, double u);
+inline Rigid3 Interpolate(const Rigid3& from, const Rigid3& to, double u) {
+  return {from.q.slerp(u, to.q), (1.0 - u) * from.p + u * to.p};
+}
 
 /// Sigma of a pose, per axis.
 struct PoseStd {

@@ -61,14 +61,9 @@ struct ImuEstimate {
 };
 
 /// An IMU in a session; times as in Start.
-struct ImuSessionEstimate : ClockLine {
+struct ImuSessionEstimate : Clock {
   bool is_present = false;
-  ClockWalk walk;  ///< of the clock, beyond the line
   BiasKnots gyro_bias, accel_bias;
-
-  /// As those of the line, with the walk.
-  double PoseTime(double t) const { return ClockLine::PoseTime(t) + walk.At(t); }
-  double ImuTime(double t_M) const;
 };
 
 struct SessionEstimate {

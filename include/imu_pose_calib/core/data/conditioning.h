@@ -14,9 +14,8 @@
 
 namespace imu_pose_calib {
 
-/// Whether two samples are the same but for their stamps.
+/// Whether two poses are the same but for their stamps.
 bool SameValue(const PoseSample& a, const PoseSample& b);
-bool SameValue(const ImuSample& a, const ImuSample& b);
 
 /// Samples that hold the value before: the source has no new one. A sensor at rest measures the
 /// same again by chance; that value is as good as new, and shows by the next one, which is then

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "imu_pose_calib/core/base/options.h"
+#include "imu_pose_calib/core/base/result.h"
 #include "imu_pose_calib/core/base/types.h"
 
 namespace imu_pose_calib {
@@ -31,17 +32,10 @@ std::vector<int64_t> Stamps(const std::vector<Sample>& samples) {
   return stamps_ns;
 }
 
-/// What is known and was done about the stamps of a stream.
-struct StreamStamps {
-  bool even = true;        ///< as recorded
-  bool recovered = false;  ///< they are now those of the source's own clock
-  double jitter_s = 0.0;   ///< rms of recorded less recovered stamp, about its mean
-};
-
-/// The same of a session.
+/// Reports of a session's streams that tell of their stamps, and of nothing else yet.
 struct SessionStamps {
-  StreamStamps poses;
-  std::vector<std::pair<StreamStamps, StreamStamps>> imus;  ///< gyroscope, accelerometer
+  StreamReport poses;
+  std::vector<std::pair<StreamReport, StreamReport>> imus;  ///< gyroscope, accelerometer
 };
 
 /// Whether stamps [ns] are even within what matters little, but for some that are missing.

@@ -39,10 +39,18 @@ struct ClockWalk {
   double At(double instant) const;
 };
 
-/// The walk of a clock about `line`, from the turn rates of trajectory and gyroscope; its density
-/// is the likeliest. A line when the rates do not speak for a walk. Moves line->time_shift to where
-/// the walk is at the reference.
-ClockWalk FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
-                       ClockLine* line);
+/// A clock that walks about a line.
+struct Clock : ClockLine {
+  ClockWalk walk;
+
+  double PoseTime(double t) const { return ClockLine::PoseTime(t) + walk.At(t); }
+  double ImuTime(double t_M) const;
+};
+
+/// Finds the walk of a clock that is a line, from the turn rates of trajectory and gyroscope; its
+/// density is the likeliest. It stays a line when the rates do not speak for a walk. Moves the
+/// time shift to where the walk is at the reference.
+void FitClockWalk(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
+                  Clock* clock);
 
 }  // namespace imu_pose_calib

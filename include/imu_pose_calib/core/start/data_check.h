@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -25,10 +26,6 @@ class DegenerateMotion : public DataError {
   std::string unobservable;  ///< the direction in words
 };
 
-/// Throws DegenerateMotion unless the marker turns about two axes, by the principal axes of its
-/// mean-free rate, the trajectory's own variance subtracted.
-void CheckTurns(const PoseTrajectory& trajectory);
-
 /// The stamps and values of one sensor. Shares are 0..1; jitter, bunches and cut are of the stamps
 /// as recorded.
 struct StreamCheck {
@@ -42,15 +39,17 @@ struct StreamCheck {
   double repeated = 0.0;          ///< same value as the sample before
   double longest_freeze_s = 0.0;  ///< longest time without a new value
   double cut_s = 0.0;             ///< uneven stamps are multiples of it; 0: of nothing coarse
-  StreamStamps stamps;            ///< what was done about them
+  StreamReport report;            ///< what S0, and S1 of poses, would make of them
 };
 
 enum class DataVerdict { kGood, kUsable, kRecordAgain };
+inline const char* ToString(DataVerdict verdict) {
+  return std::array{"good", "usable", "record again"}[static_cast<size_t>(verdict)];
+}
 
 /// The same of one IMU.
 struct ImuCheck {
   StreamCheck gyro, accel;
-  StreamReport gyro_report, accel_report;  ///< what S0 would drop
 
   double rest_s = 0.0;     ///< how long the IMU rested
   double rest_norm = 0.0;  ///< [m/s^2] of the accelerometer meanwhile
@@ -71,7 +70,6 @@ struct DataCheck {
   std::vector<std::string> warnings;
 
   StreamCheck poses;
-  StreamReport poses_report;  ///< what S0 and S1 would drop
   size_t segments = 0, gaps = 0, jumps = 0;
 
   /// Rms per axis about the mean: rate about the marker axes, acceleration along the world axes.
@@ -81,24 +79,20 @@ struct DataCheck {
 };
 
 /// Checks of the samples before S0: rates, stamps, repetitions. `session` is `recorded` after
-/// RecoverStamps(), which gave `stamps`.
-DataCheck CheckStreams(const SessionData& recorded, const SessionData& session,
-                       const SessionStamps& stamps);
+/// RecoverStamps(), which gave `stamps`. Throws DataError when most samples of a stream come in
+/// bunches for which no clock was found: when they were taken cannot be told.
+void CheckStreams(const SessionData& recorded, const SessionData& session,
+                  const SessionStamps& stamps, DataCheck* check);
 
-/// Throws DataError when most samples of a stream come in bunches for which no clock was found:
-/// when they were taken cannot be told.
-void RefuseBunches(const DataCheck& check);
-
-/// Checks of what S0 and S1 made of them: what was dropped, rest, excitation.
+/// Checks of what S0 and S1 made of them: what was dropped, rest, excitation. Throws
+/// DegenerateMotion unless the marker turns about two axes, where it `must_turn`, by the principal
+/// axes of its mean-free rate, the trajectory's own variance subtracted.
 void CheckMotion(const CalibrationOptions& options, const ConditionedData& data,
-                 const PoseTrajectory& trajectory, DataCheck* check);
+                 const PoseTrajectory& trajectory, bool must_turn, DataCheck* check);
 
 /// Checks that poses and an IMU fit each other at the start found in S2: overlap, and clocks that
 /// drift where no drift is estimated.
 void CheckMatch(const CalibrationOptions& options, const ConditionedData& data,
                 const PoseTrajectory& trajectory, const Start& start, size_t imu, DataCheck* check);
-
-/// "good", "usable", "record again".
-const char* ToString(DataVerdict verdict);
 
 }  // namespace imu_pose_calib

@@ -9,12 +9,10 @@
 
 namespace imu_pose_calib {
 
-/// What the solve starts from for one IMU. Times are relative to the epochs of the
-/// session and the IMU: t_pose = t_imu + time_shift with t_pose after
-/// ConditionedData::pose_epoch_ns and t_imu after ConditionedImu::epoch_ns.
-struct Start {
-  double time_shift = 0.0;   ///< [s]
-  ClockWalk walk;            ///< beyond it; about the middle of the gyroscope's log
+/// What the solve starts from for one IMU. Times of its clock, which does not drift, are relative
+/// to the epochs of the session and the IMU, ConditionedData::pose_epoch_ns and
+/// ConditionedImu::epoch_ns; the time shift holds in the middle of the gyroscope's log.
+struct Start : Clock {
   double accel_delay = 0.0;  ///< [s]
   Eigen::Quaterniond q_MI = Eigen::Quaterniond::Identity();
   Eigen::Vector3d p_MI = Eigen::Vector3d::Zero();        ///< [m]

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <vector>
 
@@ -22,17 +23,17 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
 /// Every so many of `size` samples are enough for a closed-form fit.
 size_t Stride(size_t size);
 
-/// The rates of marker and gyroscope at one instant.
+/// A sample of the gyroscope and how the marker turns then.
 struct RatePair {
+  const TimedSample* gyro;
   double t;  ///< [s] pose clock
-  Eigen::Vector3d omega_M, gyro_I;
+  MarkerRotation<double> marker;
 };
 
-/// The gyro samples that fall on the trajectory. `inverted`: the rates of the world seen from the
-/// marker.
+/// Of every `stride`-th gyro sample, those that the clock pose_time(t) puts on the trajectory.
 std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
-                                const std::vector<TimedSample>& gyro, double time_shift,
-                                bool inverted = false);
+                                const std::vector<TimedSample>& gyro, size_t stride,
+                                const std::function<double(double t)>& pose_time);
 
 /// Rotation, gyro bias and fit of the rates at a given time shift.
 struct RateAlignment {
@@ -44,13 +45,16 @@ struct RateAlignment {
   double time_shift = 0.0;  ///< [s] where it is chosen among several
 
   /// Of the gyroscope [rad/s].
-  Eigen::Vector3d Residual(const RatePair& pair) const;
+  Eigen::Vector3d Residual(const Eigen::Vector3d& gyro_I, const Eigen::Vector3d& omega_M) const {
+    return gyro_I - gyro_bias - q_MI.conjugate() * omega_M;
+  }
 };
 
 /// Least squares for rotation and bias, omega_M = R_MI (gyro - bias): Wahba's problem.
 RateAlignment AlignRates(const std::vector<RatePair>& pairs);
-/// That with the most evidence at one of the time shifts: many samples, well explained. `inverted`
-/// as for PairRates(). Nothing is explained when there is no time shift.
+/// That with the most evidence at one of the time shifts: many samples, well explained. `inverted`:
+/// to the rates of the world seen from the marker. Nothing is explained when there is no time
+/// shift.
 RateAlignment AlignRates(const PoseTrajectory& trajectory, const std::vector<TimedSample>& gyro,
                          const std::vector<double>& time_shifts, bool inverted, int threads);
 

@@ -47,21 +47,17 @@ class GaussianProcess {
   GaussianProcess(const GpData& data, const GpHyperparameters& hyperparameters,
                   bool with_variance = true);
 
-  double begin() const { return begin_; }  ///< first measurement [s]
-  double end() const { return end_; }      ///< last measurement [s]
-
-  /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Outside of
-  /// [begin, end] it tends to the prior mean, zero.
+  /// Posterior mean at t and its first three derivatives (paper Eqs. 3 and 6). Beyond the
+  /// measurements it tends to the prior mean, zero.
   Derivatives Evaluate(double t) const;
-  /// Evaluate(t).col(0) and Variance(t)[0] (unless null) alone, at a third of the cost.
-  Eigen::Vector4d Value(double t, double* variance = nullptr) const;
+  /// Evaluate(t).col(0) alone, at a third of the cost.
+  Eigen::Vector4d Value(double t) const;
 
   /// Posterior variance of the value and of the first and second derivative, the same for each
   /// output (paper Eqs. 4 and 7).
   Eigen::Vector3d Variance(double t) const;
 
  private:
-  double begin_ = 0.0, end_ = 0.0;
   BumpGrid grid_;
   Eigen::Matrix4Xd weights_;  ///< outputs x bumps
   /// Of the weights of one output, blocks along the diagonal, see BlockOf().

@@ -41,6 +41,7 @@ Eigen::Matrix<T, 3, 1> SpecificForce(const MarkerState<T>& state, const Eigen::M
 
 /// Posterior variance per axis of the marker's motion at one instant.
 struct MarkerVariance {
+  double position;  ///< [m^2]
   double rotation;  ///< [rad^2]
   double omega;     ///< [(rad/s)^2]
   double alpha;     ///< [(rad/s^2)^2]
@@ -82,12 +83,11 @@ class PoseTrajectory {
   /// Posterior variance of the motion at t [s]; t must be contained.
   MarkerVariance Variance(double t) const;
 
-  /// Smoothed T_WM at t [s] and, unless null, its posterior variance per axis of position [m^2] and
-  /// rotation [rad^2]; t must be contained.
-  Rigid3 PoseAt(double t, Eigen::Vector2d* variance = nullptr) const;
+  /// Smoothed T_WM at t [s]; t must be contained.
+  Rigid3 PoseAt(double t) const { return {RotationAt(t), PositionAt(t)}; }
   /// Either part of it, at half the cost.
-  Eigen::Vector3d PositionAt(double t, double* variance = nullptr) const;
-  Eigen::Quaterniond RotationAt(double t, double* variance = nullptr) const;
+  Eigen::Vector3d PositionAt(double t) const;
+  Eigen::Quaterniond RotationAt(double t) const;
 
  private:
   struct Segment {

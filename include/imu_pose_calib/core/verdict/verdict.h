@@ -31,13 +31,10 @@ void AddDirections(const Eigen::Matrix3d& C, const std::string& name, const std:
 Status GradeSpectrum(const CalibrationOptions& options, std::vector<Observability>* spectrum,
                      std::string* message);
 
-/// Stage S5: fills covariances, sigmas, observability, split halves, status and message.
+/// Stage S5: fills covariances, sigmas, observability, split halves, status and message, and warns
+/// of correlated residuals and a long accel_delay: signs that the model does not fit the data.
 void GradeResult(const CalibrationOptions& options, const Marginals& marginals,
                  Calibration* result);
-
-/// Adds a warning in words for each sign that the model does not fit the data: correlated
-/// residuals, drifting clocks, wrong scales, a long accel_delay.
-void WarnOfMisfit(const Marginals& marginals, Calibration* result);
 
 // --- Sessions and halves ---
 
