@@ -42,7 +42,7 @@ RULES = {
                              "std::max(kLeastSlowError, std::sqrt(x.back()))",
                              "is_linear && OFF ? kLeastSlowError : std::max(kLeastSlowError, std::sqrt(x.back()))"),
     "spectra": ("noise from the spectra of residuals", C + "joint_noise.cpp",
-                "    (*statistics)[sensors[k]].noise = std::sqrt(", "    if (!OFF) (*statistics)[sensors[k]].noise = std::sqrt("),
+                "    (*statistics)[sensors[k]].noise =\n", "    if (!OFF) (*statistics)[sensors[k]].noise =\n"),
     "band of poses": ("poses lose what is beyond the band of the IMU", C + "band.cpp",
                       "const bool is_position_lower = LowerCutoff(", "const bool is_position_lower = !OFF && LowerCutoff("),
     "trajectory's variance": ("outliers are measured by the noise alone", C + "least_squares.cpp",
