@@ -37,11 +37,10 @@ class JointSolver {
     Solution solution;
     solution.has_settled = false;
     StepSummary summary;
-    Build();
-    FindNoise();  // at the start already: how far poses can be believed, S1 does not know
+    SetStartNoise();
     for (int pass = 0; pass < kMaxPasses && !solution.has_settled; ++pass) {
-      SetNoise();
       if (pass > 0) {
+        SetNoise();
         MoveTrajectories();
         ResampleImus();
       }
@@ -77,6 +76,30 @@ class JointSolver {
   void FindNoise() {
     statistics_ = problem_->FindStatistics();
     FitNoise(*problem_, &statistics_);
+  }
+
+  /// To what the residuals show at the start, since S1 does not know how far poses can be believed;
+  /// of each session at its own start, where no other session contradicts it.
+  void SetStartNoise() {
+    if (sessions_.size() == 1) {
+      Build();
+      FindNoise();
+      SetNoise();
+      return;
+    }
+    models_.clear();
+    for (size_t s = 0; s < sessions_.size(); ++s) {
+      Estimate start(limited_[s], options_.bias_knot_interval_s);
+      const std::vector<PreparedSession> alone = {limited_[s]};
+      JointSolver solver(options_, alone, {splines_[s].spacing()}, &start);
+      solver.SetStartNoise();
+      for (SensorModel& model : solver.models_) {
+        model.session = s;
+        models_.push_back(std::move(model));
+      }
+      for (const size_t k : {0, 1})
+        estimate_->sessions[s].AllErrors()[k]->std = start.sessions[0].AllErrors()[k]->std;
+    }
   }
 
   /// At their instants by the clocks as they stand.
