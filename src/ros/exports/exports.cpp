@@ -415,6 +415,13 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
 /// Whether a file is of the frames on the body, of sensors of any kind.
 bool IsOfFrames(const Template& file) { return boost::contains(file.text, "{child}"); }
 
+/// Whether a pose sensor plays a part in a file.
+bool HasPlayer(const Template& file) {
+  const auto names = {"{player", "_SI", "_IS", "_SA"};
+  return std::any_of(names.begin(), names.end(),
+                     [&](const char* name) { return boost::contains(file.text, name); });
+}
+
 bool IsOf(const std::string& program, const Template& file) {
   return boost::starts_with(std::string(file.name) + ".", program + ".");
 }
@@ -480,9 +487,8 @@ std::vector<ExportFile> Export(const StoredResult& stored, const std::string& na
     if (!IsOf(name, file)) continue;
     const bool is_of_one = boost::contains(file.name, "imuN");
     const bool has_all = is_of_one || boost::contains(file.text, kEach);
-    const bool has_player = boost::contains(file.text, "{player");
     const Values head = HeadValues(stored, has_all, IsOfFrames(file),
-                                   has_player ? choice.pose_sensor : std::nullopt);
+                                   HasPlayer(file) ? choice.pose_sensor : std::nullopt);
     std::vector<Values> imus;  // or frames
     for (size_t i = 0; !IsOfFrames(file) && i < (has_all ? stored.result.imus.size() : 1); ++i)
       imus.push_back(ImuValues(stored, i, file, choice));
