@@ -469,6 +469,31 @@ TEST(JointCalibration, PosesThatAreSmoothAreNotBelievedToTheirSmoothness) {
   EXPECT_LT(Normalised(result, truth).head<3>().cwiseAbs().maxCoeff(), 3.0);
 }
 
+/// Of poses that are there for half of the time, errors show in no whole span: that is no reason to
+/// believe in errors of decimetres.
+TEST(JointCalibration, PosesThatAreLostHalfOfTheTimeAreBelieved) {
+  SimulatorOptions truth = Recording(1e-3, 23);
+  truth.duration_s = 30.0;
+  const SessionData data = Simulate(truth);
+  const auto is_lost = [&](double share) {
+    return [&data, share, begin = data.poses.front().t_ns](const PoseSample& pose) {
+      return std::fmod(1e-9 * static_cast<double>(pose.t_ns - begin), 2.0) < 2.0 * share;
+    };
+  };
+  const auto without = [&](double share) {
+    SessionData left = data;
+    left.poses.erase(std::remove_if(left.poses.begin(), left.poses.end(), is_lost(share)),
+                     left.poses.end());
+    return Calibrate({}, left);
+  };
+  for (const double share : {0.5, 0.7}) {
+    const Calibration result = without(share);
+    EXPECT_EQ(result.status, Status::kOk) << result.message;
+    EXPECT_LT(result.sessions[0].slow_errors.position, 1e-3) << share;
+    EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.0) << share;
+  }
+}
+
 /// Nothing but the lever arm and gravity tells what both positions and the accelerometer average
 /// over; knots that hold more than the poses do, beside slow errors, let the two run away together.
 TEST(JointCalibration, WhatPositionsAndAccelerometerAverageAlikeStays) {

@@ -131,7 +131,8 @@ std::vector<double> FitDensities(const std::vector<Noise>& noises,
       found[k] +=
           trust * (1.0 + kLeastWhiteness * white / x[k]) / x[k] + std::max(0.0, pull) / x[k];
       expected[k] += trust * (1.0 + kLeastWhiteness) / x[k] + std::max(0.0, -pull) / x[k];
-      x[k] = std::min(noises[k].most, x[k] * std::sqrt(found[k] / expected[k]));
+      if (found[k] > 0.0)  // else nothing tells of it
+        x[k] = std::min(noises[k].most, x[k] * std::sqrt(found[k] / expected[k]));
     }
   }
   return x;

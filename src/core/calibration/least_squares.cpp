@@ -24,7 +24,7 @@ constexpr double kLeastRedundancy = 0.1;
 /// Spans that a spectrum is the mean of, evenly over the session, at most; and share of the usual
 /// samples that each has at least.
 constexpr size_t kSpans = 100;
-constexpr double kLeastFull = 0.5;
+constexpr double kLeastFull = 0.25;
 constexpr size_t kTouched = 20;  // one span of so many is left out, that of the largest residuals
 
 /// Share of the time between samples that one of those which stand for others reaches, so as to
