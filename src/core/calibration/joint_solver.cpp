@@ -79,16 +79,12 @@ class JointSolver {
   }
 
   /// To what the residuals show at the start, since S1 does not know how far poses can be believed;
-  /// of each session at its own start, where no other session contradicts it. Slow errors and
-  /// weights begin later: what the calibration is off by looks like them.
+  /// of each session at its own start, where no other session contradicts it.
   void SetStartNoise() {
     if (sessions_.size() == 1) {
       Build();
       FindNoise();
-      for (size_t k = 0; k < models_.size(); ++k) {
-        models_[k].noise = statistics_[k].noise;
-        models_[k].spread = statistics_[k].spread;
-      }
+      SetNoise();
       return;
     }
     models_.clear();
@@ -101,6 +97,8 @@ class JointSolver {
         model.session = s;
         models_.push_back(std::move(model));
       }
+      for (const size_t k : {0, 1})
+        estimate_->sessions[s].AllErrors()[k]->std = start.sessions[0].AllErrors()[k]->std;
     }
   }
 
