@@ -475,19 +475,15 @@ TEST(JointCalibration, PosesThatAreLostHalfOfTheTimeAreBelieved) {
   SimulatorOptions truth = Recording(1e-3, 23);
   truth.duration_s = 30.0;
   const SessionData data = Simulate(truth);
-  const auto is_lost = [&](double share) {
-    return [&data, share, begin = data.poses.front().t_ns](const PoseSample& pose) {
-      return std::fmod(1e-9 * static_cast<double>(pose.t_ns - begin), 2.0) < 2.0 * share;
-    };
-  };
-  const auto without = [&](double share) {
-    SessionData left = data;
-    left.poses.erase(std::remove_if(left.poses.begin(), left.poses.end(), is_lost(share)),
-                     left.poses.end());
-    return Calibrate({}, left);
-  };
   for (const double share : {0.5, 0.7}) {
-    const Calibration result = without(share);
+    SessionData left = data;
+    const auto is_lost = [&](const PoseSample& pose) {
+      const auto t_ns = static_cast<double>(pose.t_ns - data.poses.front().t_ns);
+      return std::fmod(1e-9 * t_ns, 2.0) < 2.0 * share;
+    };
+    left.poses.erase(std::remove_if(left.poses.begin(), left.poses.end(), is_lost),
+                     left.poses.end());
+    const Calibration result = Calibrate({}, left);
     EXPECT_EQ(result.status, Status::kOk) << result.message;
     EXPECT_LT(result.sessions[0].slow_errors.position, 1e-3) << share;
     EXPECT_LT(Normalised(result, truth).cwiseAbs().maxCoeff(), 4.0) << share;

@@ -14,7 +14,8 @@ struct MarginalEstimate {
   /// Column k: -L^T H^-1 G_k, what the scores G_k = sum_k J^T r of cluster k add to the
   /// Gauss-Newton step. At the minimum the columns add up to 0.
   Eigen::MatrixXd influence;
-  Eigen::VectorXd known;  ///< share of each that is beforehand, diagonal of H_prior H^-1
+  /// Share of each functional that is known beforehand, diagonal of H_prior H^-1.
+  Eigen::VectorXd known;
 
   /// How many of the functionals the scores tell, those that are known beforehand in part.
   double Told() const;
