@@ -21,7 +21,7 @@ constexpr double kMinAgreement = 0.6;      // of the motion, on one rotation
 constexpr double kUnitBound = 5.0;         // scale of the positions, either way
 constexpr double kLeastExplained = 0.3;    // by positions in another unit
 constexpr double kDelaySearch = 0.1;       // [s] to either side
-constexpr double kDelayResolution = 2e-4;  // [s]
+constexpr double kDelayResolution = 1e-3;  // [s] within which the fit is a parabola
 constexpr double kAccelBiasPrior = 1.0;    // [m/s^2] keeps bias and gravity apart at small turns
 
 void CheckUnit(const RateAlignment& best) {
@@ -207,14 +207,16 @@ void FitLeverArm(const PoseTrajectory& trajectory, const std::vector<TimedSample
   double residual = 0.0, best_delay = start->accel_delay;
   for (double reach = kDelaySearch; estimate_delay && reach > kDelayResolution; reach /= kSteps) {
     std::vector<double> residuals(2 * kSteps + 1);
-    const auto delay = [reach, middle = best_delay](size_t k) {
-      return middle + reach * (static_cast<double>(k) / kSteps - 1.0);
+    const auto delay = [reach, middle = best_delay](double k) {
+      return middle + reach * (k / kSteps - 1.0);
     };
     InParallel(threads, residuals.size(), [&](size_t k) {
-      LeverArmEquations(trajectory, accel, *start, delay(k), stride).Fit(&residuals[k]);
+      LeverArmEquations(trajectory, accel, *start, delay(static_cast<double>(k)), stride)
+          .Fit(&residuals[k]);
     });
-    const auto least = std::min_element(residuals.begin(), residuals.end());
-    best_delay = delay(static_cast<size_t>(least - residuals.begin()));
+    const auto least = std::min_element(residuals.begin() + 1, residuals.end() - 1);
+    best_delay = delay(static_cast<double>(least - residuals.begin()) +
+                       PeakOffset(-least[-1], -least[0], -least[1]));
   }
   const LeverArmEquations equations(trajectory, accel, *start, best_delay, stride);
   const Eigen::Matrix<double, 9, 1> best = equations.Fit(&residual);

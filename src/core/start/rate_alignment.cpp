@@ -83,6 +83,11 @@ double Evidence(double correlation, double n) {
 
 }  // namespace
 
+double PeakOffset(double before, double peak, double after) {
+  const double bend = 2.0 * peak - before - after;
+  return bend > 0.0 ? std::clamp(0.5 * (after - before) / bend, -0.5, 0.5) : 0.0;
+}
+
 size_t Stride(size_t size) { return std::max<size_t>(1, size / kMaxSamples); }
 
 std::vector<RatePair> PairRates(const PoseTrajectory& trajectory,
@@ -131,13 +136,18 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
   });
   const double gyro_begin = gyro.front().t;
   Signal imu(bins(gyro.back().t - gyro_begin));
-  for (const TimedSample& s : gyro)
-    imu.Add(static_cast<size_t>((s.t - gyro_begin) / kRateBin), s.value.norm());
+  double early = 0.0;  // of the samples before the middles of their bins, in the mean
+  for (const TimedSample& s : gyro) {
+    const auto bin = static_cast<size_t>((s.t - gyro_begin) / kRateBin);
+    imu.Add(bin, s.value.norm());
+    early += (static_cast<double>(bin) + 0.5) * kRateBin - (s.t - gyro_begin);
+  }
+  early /= static_cast<double>(gyro.size());
   imu.value /= imu.weight.max(1.0);  // the mean of the samples in a bin
   imu.weight = imu.weight.min(1.0);
 
   const MaskedCorrelation correlation(marker, imu, threads);
-  const auto shift = [&](double lag) { return lag * kRateBin - gyro_begin; };
+  const auto shift = [&](double lag) { return lag * kRateBin + early - gyro_begin; };
   const auto score = [&](ptrdiff_t lag) {
     if (correlation.Count(lag) * kRateBin < min_overlap_s) return 0.0;
     if (guess && std::abs(shift(static_cast<double>(lag)) - *guess) > kGuessWindow) return 0.0;
@@ -155,10 +165,8 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
   std::vector<double> shifts;
   for (const auto& [evidence, lag] : peaks) {
     if (static_cast<int>(shifts.size()) == count) break;
-    // Vertex of the parabola through the peak and its neighbours.
-    const double a = correlation.At(lag - 1), b = correlation.At(lag), c = correlation.At(lag + 1);
-    const double bend = 2.0 * b - a - c;
-    const double offset = bend > 1e-12 ? std::clamp(0.5 * (c - a) / bend, -0.5, 0.5) : 0.0;
+    const double offset =
+        PeakOffset(correlation.At(lag - 1), correlation.At(lag), correlation.At(lag + 1));
     const double candidate = shift(static_cast<double>(lag) + offset);
     const auto is_near = [&](double s) { return std::abs(s - candidate) < kMinPeakDistance; };
     if (std::none_of(shifts.begin(), shifts.end(), is_near)) shifts.push_back(candidate);
