@@ -38,6 +38,7 @@ class JointSolver {
     solution.has_settled = false;
     StepSummary summary;
     SetStartNoise();
+    moves_.clear();  // whichever way the start went
     for (int pass = 0; pass < kMaxPasses && !solution.has_settled; ++pass) {
       if (pass > 0) {
         SetNoise();
