@@ -194,9 +194,7 @@ WeightPosterior FitWeights(const GpData& data, const BumpGrid& grid, const GpHyp
                                                           : Eigen::VectorXd::Ones(data.t.size());
   ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
     const auto per_noise = all.segment(group.begin, group.count).asDiagonal();
-    BumpGroup::Columns values = group.value;
-    auto F = values.leftCols(group.count);
-    F *= per_noise;
+    Eigen::MatrixXd F = group.value.leftCols(group.count) * per_noise;
     AddProduct(1.0, F, F, true, BlockOf(A, group.bump));
     F *= per_noise;
     b.middleRows<kSupport>(group.bump).noalias() += F * data.y.middleRows(group.begin, group.count);
@@ -240,12 +238,9 @@ Eigen::Vector4d GaussianProcess::Value(double t) const {
 Eigen::Vector3d GaussianProcess::Variance(double t) const {
   const int j = FirstBump(grid_, t);
   const BumpDerivatives B = Bumps(grid_, j, t);
-  Eigen::Vector3d variance;
-  for (int k = 0; k < 3; ++k) {
-    const Eigen::Matrix<double, kSupport, 1> b = B.row(k);
-    variance[k] = b.dot(BlockOf(covariance_, j).lazyProduct(b));
-  }
-  return variance;
+  Eigen::Matrix<double, kSupport, 3> SB_T = decltype(SB_T)::Zero();
+  AddProduct(1.0, BlockOf(covariance_, j), B.topRows<3>(), false, SB_T);
+  return B.topRows<3>().transpose().cwiseProduct(SB_T).colwise().sum();
 }
 
 double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
@@ -263,20 +258,19 @@ double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
   Band inverse;  // of A
   if (gradient != nullptr) inverse = posterior.A.Inverse();
   ForEachGroup(data.t, grid, [&](const BumpGroup& group) {
-    const BumpGroup::Columns F = weight_std * group.value;
-    const auto f = F.leftCols(group.count);
+    const Eigen::MatrixXd f = weight_std * group.value.leftCols(group.count);
     const auto mean = posterior.mean.middleRows<kSupport>(group.bump);
     const Eigen::MatrixXd residual =
         data.y.middleRows(group.begin, group.count) - f.transpose() * mean;
     residual_norm2 += residual.squaredNorm();
     if (gradient == nullptr) return;
     // d F / d log l; the 1/2 is the change of weight_std per length of a fixed grid.
-    const BumpGroup::Columns dF = F.array() * (2.0 * group.distance.array().square() - 0.5);
-    const auto df = dF.leftCols(group.count);
+    const Eigen::MatrixXd df =
+        f.array() * (2.0 * group.distance.leftCols(group.count).array().square() - 0.5);
     length_fit += residual.cwiseProduct(df.transpose() * mean).sum() / noise2;
-    Eigen::MatrixXd product = Eigen::MatrixXd::Zero(kSupport, kSupport);
-    AddProduct(1.0, df, f, false, product);
-    tr_length += BlockOf(inverse, group.bump).cwiseProduct(product).sum() / noise2;
+    Eigen::MatrixXd product = Eigen::MatrixXd::Zero(kSupport, group.count);
+    AddProduct(1.0, BlockOf(inverse, group.bump), f.transpose(), false, product);
+    tr_length += product.cwiseProduct(df).sum() / noise2;
   });
   const double fit = posterior.mean.squaredNorm() + residual_norm2 / noise2;
   const double log_likelihood =
