@@ -15,6 +15,8 @@ namespace {
 /// Passes end when nothing would move by so much of its sigma, or with the last of so many.
 constexpr double kSettled = 0.05;
 constexpr int kMaxPasses = 60;
+/// Of the way to the noise that is found.
+constexpr double kLeastShare = 0.1;
 
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
@@ -120,17 +122,17 @@ class JointSolver {
     }
   }
 
-  /// To what the last residuals show, by half as much of the way where it would turn back and by
-  /// twice as much where not: what goes to and fro comes to rest.
+  /// To what the last residuals show, by the share of the way that the secant through the last two
+  /// passes says: what goes to and fro comes to rest.
   void SetNoise() {
     size_t next = 0;
     const auto move = [&](double found, double* noise) {
-      if (next == moves_.size()) moves_.push_back({1.0, 0.0});
+      if (next == moves_.size()) moves_.emplace_back();
       Move& last = moves_[next++];
       const double wanted = std::log(found / *noise);
-      last.share = wanted * last.wanted < 0.0 ? 0.5 * last.share : std::min(1.0, 2.0 * last.share);
-      last.wanted = wanted;
-      *noise *= std::exp(last.share * wanted);
+      const double share = last.moved / (last.wanted - wanted);
+      last = {wanted, wanted * (share > 0.0 ? std::clamp(share, kLeastShare, 1.0) : 1.0)};
+      *noise *= std::exp(last.moved);
     };
     for (size_t k = 0; k < models_.size(); ++k) {
       SensorModel& model = models_[k];
@@ -154,7 +156,7 @@ class JointSolver {
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< where the estimate stands
   struct Move {
-    double share, wanted;
+    double wanted = 0.0, moved = 0.0;
   };
   std::vector<Move> moves_;  ///< of logarithms of noise, in the last pass
   int iterations_ = 0;
