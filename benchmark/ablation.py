@@ -80,7 +80,7 @@ RULES = {
     "halves": ("halves that disagree enlarge sigmas", V + "doubts.cpp", "  if (marginals.halves_sigmas <= kAgreementBound) return marginals;",
                "  if (OFF || marginals.halves_sigmas <= kAgreementBound) return marginals;"),
     "shorter steps": ("noise that goes to and fro moves by less", C + "joint_solver.cpp",
-                      "wanted * last.wanted < 0.0 ?", "!OFF && wanted * last.wanted < 0.0 ?"),
+                      "share > 0.0 ?", "!OFF && share > 0.0 ?"),
     "shocks": ("spectra of IMUs are of weighed residuals", C + "least_squares.cpp", "      else  // a shock is no noise",
                "      else if (!OFF)  // a shock is no noise"),
     "cumulants": ("poses have third and fourth cumulants of time", C + "estimate.cpp",
