@@ -79,7 +79,7 @@ RULES = {
               "        if (!OFF || pass == 1) MoveTrajectories();"),
     "halves": ("halves that disagree enlarge sigmas", V + "doubts.cpp", "  if (marginals.halves_sigmas <= kAgreementBound) return marginals;",
                "  if (OFF || marginals.halves_sigmas <= kAgreementBound) return marginals;"),
-    "shorter steps": ("noise that goes to and fro moves by less", C + "joint_solver.cpp",
+    "shorter steps": ("noise that goes to and fro moves by less", C + "joint_noise.cpp",
                       "share > 0.0 ?", "!OFF && share > 0.0 ?"),
     "shocks": ("spectra of IMUs are of weighed residuals", C + "least_squares.cpp", "      else  // a shock is no noise",
                "      else if (!OFF)  // a shock is no noise"),

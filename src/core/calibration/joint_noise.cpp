@@ -20,6 +20,7 @@ constexpr int kRounds = 300;  // of the likelihood's ascent
 /// Bounds of the sigma of slow errors [m, rad]: nothing beside the noise of poses, with which H
 /// stays regular; and beyond what is an error.
 constexpr double kLeastSlowError = 1e-6, kMostSlowError = 0.1;
+constexpr double kLeastShare = 0.1;  // of the way to the noise that is found
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 bool IsLinear(Quantity quantity) {
@@ -192,6 +193,13 @@ void FitNoiseOf(bool is_linear, size_t session, const LeastSquares& joint,
 }
 
 }  // namespace
+
+double NoiseMove::Next(double wanted) {
+  const double share = moved_ / (wanted_ - wanted);
+  wanted_ = wanted;
+  moved_ = wanted * (share > 0.0 ? std::clamp(share, kLeastShare, 1.0) : 1.0);
+  return moved_;
+}
 
 void ShareFreedom(const CorrectionSplines& splines, size_t session, LeastSquares* joint) {
   const double band = Band(splines.spacing());

@@ -15,8 +15,6 @@ namespace {
 /// Passes end when nothing would move by so much of its sigma, or with the last of so many.
 constexpr double kSettled = 0.05;
 constexpr int kMaxPasses = 60;
-/// Of the way to the noise that is found.
-constexpr double kLeastShare = 0.1;
 
 /// S4 at given knot spacings: trajectories and calibration in passes of least squares, each with
 /// the noise and the robust weights that the residuals of the one before show.
@@ -122,17 +120,12 @@ class JointSolver {
     }
   }
 
-  /// To what the last residuals show, by the share of the way that the secant through the last two
-  /// passes says: what goes to and fro comes to rest.
+  /// On the way to what the last residuals show.
   void SetNoise() {
     size_t next = 0;
     const auto move = [&](double found, double* noise) {
       if (next == moves_.size()) moves_.emplace_back();
-      Move& last = moves_[next++];
-      const double wanted = std::log(found / *noise);
-      const double share = last.moved / (last.wanted - wanted);
-      last = {wanted, wanted * (share > 0.0 ? std::clamp(share, kLeastShare, 1.0) : 1.0)};
-      *noise *= std::exp(last.moved);
+      *noise *= std::exp(moves_[next++].Next(std::log(found / *noise)));
     };
     for (size_t k = 0; k < models_.size(); ++k) {
       SensorModel& model = models_[k];
@@ -155,10 +148,7 @@ class JointSolver {
   std::vector<CorrectionSplines> splines_;
   std::unique_ptr<LeastSquares> problem_;
   std::vector<SensorStatistics> statistics_;  ///< where the estimate stands
-  struct Move {
-    double wanted = 0.0, moved = 0.0;
-  };
-  std::vector<Move> moves_;  ///< of logarithms of noise, in the last pass
+  std::vector<NoiseMove> moves_;
   int iterations_ = 0;
 };
 
