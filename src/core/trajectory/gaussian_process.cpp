@@ -238,9 +238,9 @@ Eigen::Vector4d GaussianProcess::Value(double t) const {
 Eigen::Vector3d GaussianProcess::Variance(double t) const {
   const int j = FirstBump(grid_, t);
   const BumpDerivatives B = Bumps(grid_, j, t);
-  Eigen::Matrix<double, kSupport, 3> SB_T = decltype(SB_T)::Zero();
-  AddProduct(1.0, BlockOf(covariance_, j), B.topRows<3>(), false, SB_T);
-  return B.topRows<3>().transpose().cwiseProduct(SB_T).colwise().sum();
+  Eigen::Matrix<double, kSupport, 3> S_B = decltype(S_B)::Zero();
+  AddProduct(1.0, BlockOf(covariance_, j), B.topRows<3>(), false, S_B);
+  return B.topRows<3>().transpose().cwiseProduct(S_B).colwise().sum();
 }
 
 double LogMarginalLikelihood(const GpData& data, const GpHyperparameters& h,
