@@ -2,15 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "imu_pose_calib/core/base/median.h"
+#include "imu_pose_calib/core/base/peak.h"
 
 namespace imu_pose_calib {
 namespace {
 
 constexpr double kLeastDof = 1.0, kMostDof = 100.0;
-constexpr int kDofs = 15;         // that are tried, evenly in the logarithm
+constexpr size_t kDofs = 15;      // that are tried, evenly in the logarithm
 constexpr int kRounds = 10;       // of the scale, for each
 constexpr size_t kEnough = 5000;  // vectors that the degrees of freedom are found from
 constexpr double kLeastScale = 1e-6;
@@ -48,21 +48,24 @@ StudentT FitStudentT(const std::vector<Eigen::Vector3d>& x) {
     if (i % stride == 0) some.push_back(all.back());
   }
   double scale2 = std::max(kLeastScale * kLeastScale, Median(some) / kNormalMedian);
-  double likeliest = -std::numeric_limits<double>::infinity(), best_scale2 = scale2;
-  StudentT best;
-  for (int k = 0; k < kDofs; ++k) {
-    const double dof = kMostDof * std::pow(kLeastDof / kMostDof, k / (kDofs - 1.0));
-    for (int round = 0; round < kRounds; ++round) scale2 = NextScale2(some, dof, scale2);
-    const double log_likelihood = LogLikelihood(some, dof, scale2);
-    if (log_likelihood <= likeliest) break;
-    likeliest = log_likelihood;
-    best_scale2 = scale2;
-    best.dof = dof;
+  const auto fit = [](const std::vector<double>& norms2, double dof, double* scale2) {
+    for (int round = 0; round < kRounds; ++round) *scale2 = NextScale2(norms2, dof, *scale2);
+  };
+  const auto dof_at = [](double k) {
+    return kMostDof * std::pow(kLeastDof / kMostDof, k / (kDofs - 1.0));
+  };
+  std::vector<double> likelihoods;  // the last of them beyond the peak
+  size_t peak = 0;
+  for (size_t k = 0; k < kDofs && peak + 1 >= k; ++k) {
+    fit(some, dof_at(static_cast<double>(k)), &scale2);
+    likelihoods.push_back(LogLikelihood(some, dof_at(static_cast<double>(k)), scale2));
+    if (likelihoods[k] > likelihoods[peak]) peak = k;
   }
-  for (int round = 0; round < kRounds; ++round)
-    best_scale2 = NextScale2(all, best.dof, best_scale2);
-  best.scale = std::sqrt(best_scale2);
-  return best;
+  double at = static_cast<double>(peak);
+  if (peak > 0 && peak + 1 < likelihoods.size())
+    at += PeakOffset(likelihoods[peak - 1], likelihoods[peak], likelihoods[peak + 1]);
+  fit(all, dof_at(at), &scale2);
+  return {std::sqrt(scale2), dof_at(at)};
 }
 
 }  // namespace imu_pose_calib

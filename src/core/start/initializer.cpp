@@ -8,6 +8,7 @@
 
 #include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/peak.h"
 #include "imu_pose_calib/core/base/so3.h"
 #include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/data/conditioned_data.h"

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/peak.h"
 #include "imu_pose_calib/core/base/text.h"
 
 namespace imu_pose_calib {
@@ -82,11 +83,6 @@ double Evidence(double correlation, double n) {
 }
 
 }  // namespace
-
-double PeakOffset(double before, double peak, double after) {
-  const double bend = 2.0 * peak - before - after;
-  return bend > 0.0 ? std::clamp(0.5 * (after - before) / bend, -0.5, 0.5) : 0.0;
-}
 
 size_t Stride(size_t size) { return std::max<size_t>(1, size / kMaxSamples); }
 

@@ -20,9 +20,6 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
                                    const std::vector<TimedSample>& gyro, double min_overlap_s,
                                    const std::optional<double>& guess, int count, int threads = 1);
 
-/// Where the parabola through a peak and its neighbours has its vertex, in steps beyond the peak.
-double PeakOffset(double before, double peak, double after);
-
 /// Every so many of `size` samples are enough for a closed-form fit.
 size_t Stride(size_t size);
 
