@@ -46,6 +46,22 @@ TEST(StudentT, FindsScaleAndTails) {
   }
 }
 
+/// Were they of a grid, weights would jump where one value takes over from the next.
+TEST(StudentT, DegreesOfFreedomFollowTheTails) {
+  const std::vector<Eigen::Vector3d> normal = Draw(1.0, 0, 5000);
+  std::vector<double> log_dofs;
+  for (int k = 0; k < 34; ++k) {
+    std::vector<Eigen::Vector3d> x = normal;
+    for (Eigen::Vector3d& v : x) v *= std::pow(v.norm(), 1.0 + 0.025 * k);
+    log_dofs.push_back(std::log(FitStudentT(x).dof));
+  }
+  EXPECT_GT(log_dofs.front() - log_dofs.back(), 1.0);
+  for (size_t k = 1; k < log_dofs.size(); ++k) {
+    EXPECT_LT(log_dofs[k], log_dofs[k - 1]);
+    EXPECT_GT(log_dofs[k], log_dofs[k - 1] - 0.12);
+  }
+}
+
 TEST(StudentT, HardlySeesOutliers) {
   std::vector<Eigen::Vector3d> x = Draw(0.2, 0, 20000);
   for (size_t i = 0; i < x.size(); i += 100) x[i] *= 1000.0;
