@@ -157,7 +157,7 @@ void ReportClocks(const std::shared_ptr<const Solution>& solution, Calibration* 
       const std::vector<TimedSample>& gyro = solution->imus[s][i].gyro;
       const std::vector<double> knots =
           own.clock.wanders ? clock.walk.t : std::vector<double>{gyro.front().t, gyro.back().t};
-      const bool has_covariance = own.clock.wanders && solution->marginals.inverse;
+      const bool has_covariance = own.clock.wanders && solution->marginals.inverse.valid();
       const auto model_std = [&](double t) {
         return std::sqrt(trajectory.ClockVariance(i, clock.PoseTime(t)));
       };

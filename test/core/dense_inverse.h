@@ -36,20 +36,20 @@ inline Eigen::MatrixXd DenseInverse(const Marginals& m) {
     const int own = columns.back();
     std::vector<int> acting;  // of those eliminated later, given which others tell nothing of it
     for (const int other : later)
-      if (m.elimination->At(*m.inverse, other, own) != 0.0) acting.push_back(other);
+      if (m.elimination->At(m.inverse.get(), other, own) != 0.0) acting.push_back(other);
     const auto count = static_cast<Eigen::Index>(acting.size());
     Eigen::MatrixXd C(count, count), with(inverse.rows(), count);
     Eigen::VectorXd known(count);
     for (Eigen::Index j = 0; j < count; ++j) {
       const int of = acting[static_cast<size_t>(j)];
       with.col(j) = inverse.col(of);
-      known[j] = m.elimination->At(*m.inverse, of, own);
+      known[j] = m.elimination->At(m.inverse.get(), of, own);
       for (Eigen::Index i = 0; i < count; ++i)
         C(i, j) = inverse(acting[static_cast<size_t>(i)], of);
     }
     const Eigen::VectorXd found = with * SolvePositive(C, known);
     for (const int other : later) inverse(other, own) = inverse(own, other) = found[other];
-    inverse(own, own) = m.elimination->At(*m.inverse, own, own);
+    inverse(own, own) = m.elimination->At(m.inverse.get(), own, own);
     later.push_back(own);
   }
   return inverse;

@@ -117,8 +117,8 @@ class ReducedProblem {
   /// Of columns of what is calibrated by a part, all else that is calibrated or could be being
   /// known.
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
-  /// Marginals::inverse, in place of the factor, which is gone then.
-  std::shared_ptr<const Panels> TakeInverse();
+  /// Marginals::inverse, of the factor, which is gone then.
+  std::shared_future<Panels> TakeInverse();
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
 
   const std::vector<Part>& halves() const { return halves_; }
@@ -212,13 +212,17 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   return estimate;
 }
 
-std::shared_ptr<const Panels> ReducedProblem::TakeInverse() {
-  Panels panels = eliminated_->TakeFactor();
+std::shared_future<Panels> ReducedProblem::TakeInverse() {
+  Panels factor = eliminated_->TakeFactor();
   const Eigen::Index size = all_.H.rows();
   const Eigen::MatrixXd border = SolvePositive(all_.H, Eigen::MatrixXd::Identity(size, size));
-  if (panels.empty() || !border.allFinite()) return nullptr;
-  elimination_->Invert(border, solved_.options.Threads(), &panels);
-  return std::make_shared<const Panels>(std::move(panels));
+  if (factor.empty() || !border.allFinite()) return {};
+  const auto invert = [elimination = elimination_, border,
+                       threads = solved_.options.Threads()](Panels panels) {
+    elimination->Invert(border, threads, &panels);
+    return panels;
+  };
+  return std::async(std::launch::deferred, invert, std::move(factor)).share();
 }
 
 std::vector<ReducedProblem::Prior> ReducedProblem::FindPriors() const {

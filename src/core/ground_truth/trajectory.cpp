@@ -81,7 +81,7 @@ MarkerState<double> Sharpened(const PoseTrajectory& gp, double t, double s_R, do
 TrajectoryCovariance::TrajectoryCovariance(const std::shared_ptr<const Solution>& solution)
     : solution_(solution) {
   const Marginals& m = solution->marginals;
-  if (!m.inverse)
+  if (!m.inverse.valid())
     throw InputError(
         "the covariance of the trajectory was not kept: it needs a larger max_factor_mb");
   int column = m.calibrated_end;
@@ -162,7 +162,8 @@ Eigen::MatrixXd TrajectoryCovariance::At(const Columns& columns) const {
   for (Eigen::Index i = 0; i < size; ++i)
     for (Eigen::Index j = 0; j <= i; ++j) {
       const int row = columns[static_cast<size_t>(i)], column = columns[static_cast<size_t>(j)];
-      if (row >= 0 && column >= 0) C(i, j) = C(j, i) = m.elimination->At(*m.inverse, row, column);
+      if (row >= 0 && column >= 0)
+        C(i, j) = C(j, i) = m.elimination->At(m.inverse.get(), row, column);
     }
   return C;
 }

@@ -91,7 +91,7 @@ class SolvedSession {
       : s_(session),
         solution_(*run.result.solution),
         estimate_(solution_.estimate.sessions[session]),
-        has_covariance_(solution_.marginals.inverse != nullptr),
+        has_covariance_(solution_.marginals.inverse.valid()),
         trajectory_(run.result.solution, session),
         prefix_(std::move(prefix)) {}
 

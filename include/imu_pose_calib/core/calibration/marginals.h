@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <future>
 #include <memory>
 #include <vector>
 
@@ -39,9 +40,10 @@ struct Marginals {
   /// the bias knots, gyroscope and accelerometer of each IMU, knots of the clocks, then of each
   /// session those of the slow errors, and the control points.
   std::shared_ptr<const Elimination> elimination;
-  /// Elements of H^-1 where its factor has any. Null when that would take more than
-  /// CalibrationOptions::max_factor_mb, and when the trajectory is not determined.
-  std::shared_ptr<const Panels> inverse;
+  /// Elements of H^-1 where its factor has any, found when they are asked for. Not valid when that
+  /// would take more than CalibrationOptions::max_factor_mb, and when the trajectory is not
+  /// determined.
+  std::shared_future<Panels> inverse;
 
   int calibrated_end = 0;    ///< column of H after what is calibrated
   int trajectory_begin = 0;  ///< first column of H of the control points
