@@ -476,8 +476,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
 }
 
 std::vector<SensorResiduals> LeastSquares::FindResiduals(
-    const std::vector<PreparedSession>& recorded) {
-  FindStatistics();
+    const std::vector<PreparedSession>& recorded) const {
   std::vector<SensorResiduals> all;
   for (const SensorBlocks& sensor : sensors) {
     const SensorModel& model = *sensor.model;

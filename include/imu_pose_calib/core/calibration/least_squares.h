@@ -181,9 +181,9 @@ struct LeastSquares {
   std::optional<int> SolveWithCeres(double function_tolerance);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
-  /// Residuals of all samples of each sensor where the estimate stands, of those for which others
-  /// stand linear in between. `recorded`: the sessions as they were before Thinned().
-  std::vector<SensorResiduals> FindResiduals(const std::vector<PreparedSession>& recorded);
+  /// Residuals of all samples of each sensor as of the last FindStatistics(), of those for which
+  /// others stand linear in between. `recorded`: the sessions as they were before Thinned().
+  std::vector<SensorResiduals> FindResiduals(const std::vector<PreparedSession>& recorded) const;
   /// Sample `index` of the sensor's data.
   RecordedSample At(const SensorModel& model, size_t index) const;
 
