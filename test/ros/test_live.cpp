@@ -114,7 +114,7 @@ TEST_F(Live, CalibratesTwoImusTogether) {
   WriteBag(bag, Simulate(options, 2), BagFormat());
   Node node("two", {"_imu_topic:=/imu /imu1", "_pose_topic:=/mocap/pose",
                     "_imu_frame:=two_imu0 two_imu1", "_min_duration:=8"});
-  Player player(bag, {"--clock", "--rate=1", "--delay=2"});
+  Player player(bag, {"--clock", "--rate=3", "--delay=2"});
   ASSERT_TRUE(WaitFor([&] { return node.result && node.result->imus.size() == 2; })) << node.status;
   ExpectTruth(node, truth_.time_shift_s);
   for (size_t i = 0; i < 2; ++i) {
@@ -128,7 +128,7 @@ TEST_F(Live, CalibratesTwoImusTogether) {
   }
 }
 
-/// The sample at four times real time. Playing waits for slow solves, and nothing gets lost: so the
+/// The sample at eight times real time. Playing waits for slow solves, and nothing gets lost: so the
 /// last solve has the data of the offline one.
 TEST_F(Live, AgreesWithOfflineOnTheSample) {
   const std::string sample = IMU_POSE_CALIB_SOURCE_DIR "/data/estimator_own_clocks.bag";
@@ -140,7 +140,7 @@ TEST_F(Live, AgreesWithOfflineOnTheSample) {
   Node node("sample", {"_imu_topic:=/imu", "_pose_topic:=/vicon/rig/rig", "_window:=100",
                        "_output:=" + Path("live.yaml")});
   const Process bridge = Bridge("vicon_bridge", {"_latency:=0", "_jitter:=0"});
-  Player player(sample, {"--clock", "--rate=4", "--delay=2"});
+  Player player(sample, {"--clock", "--rate=8", "--delay=2"});
   ASSERT_TRUE(WaitFor([&] {
     player.Pause(node.status.solve_time > 0.5);
     return node.phases.count(CalibrationStatus::CONVERGED) > 0;
