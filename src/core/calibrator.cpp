@@ -25,20 +25,22 @@ std::string InSession(size_t session, size_t count) {
   return count == 1 ? "" : "session " + std::to_string(session + 1) + ": ";
 }
 
-/// Whether two IMUs are one under two names: most turn rates of both are the same to the last bit
-/// at the same stamps.
-bool AreOne(const ImuData& a, const ImuData& b) {
+/// Whether samples were given twice: more than a tenth of the fewer are the same to the last bit at
+/// the same stamps.
+template <typename Sample>
+bool AreShared(const std::vector<Sample>& a, const std::vector<Sample>& b,
+               Eigen::Vector3d Sample::*value) {
   size_t equal = 0, i = 0;
-  for (const ImuSample& of_b : b.gyro) {
-    while (i < a.gyro.size() && a.gyro[i].t_ns < of_b.t_ns) ++i;
-    if (i < a.gyro.size() && a.gyro[i].t_ns == of_b.t_ns && a.gyro[i].value == of_b.value) ++equal;
+  for (const Sample& of_b : b) {
+    while (i < a.size() && a[i].t_ns < of_b.t_ns) ++i;
+    if (i < a.size() && a[i].t_ns == of_b.t_ns && a[i].*value == of_b.*value) ++equal;
   }
-  return 2 * equal > std::min(a.gyro.size(), b.gyro.size());
+  return 10 * equal > std::min(a.size(), b.size());
 }
 
-/// Throws InputError for what cannot be known of several IMUs or sessions and for an IMU that is
-/// given twice: two that agree to the last bit seem to have no noise. Throws DataError for an IMU
-/// without samples.
+/// Throws InputError for what cannot be known of several IMUs or sessions and for an IMU or a time
+/// that is given twice: two IMUs that agree to the last bit seem to have no noise, and the same
+/// data do not tell more the second time. Throws DataError for an IMU without samples.
 void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>& sessions) {
   if (sessions.empty()) throw InputError("there is no session to calibrate from");
   const size_t imus = sessions[0].imus.size(), sensors = sessions[0].pose_sensors.size();
@@ -55,9 +57,14 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
   for (const SessionData& session : sessions)
     for (size_t b = 0; b < imus; ++b)
       for (size_t a = 0; a < b; ++a)
-        if (AreOne(session.imus[a], session.imus[b]))
+        if (AreShared(session.imus[a].gyro, session.imus[b].gyro, &ImuSample::value))
           throw InputError("imu" + std::to_string(b) + " has the samples of imu" +
                            std::to_string(a) + ": give each IMU of the rig once");
+  for (size_t b = 0; b < sessions.size(); ++b)
+    for (size_t a = 0; a < b; ++a)
+      if (AreShared(sessions[a].poses, sessions[b].poses, &PoseSample::p_WM))
+        throw InputError(InSession(b, sessions.size()) + "poses of session " +
+                         std::to_string(a + 1) + " once more: give each recording once");
 }
 
 void ReportData(const DataCheck& check, SessionCalibration* session) {
@@ -322,6 +329,8 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
     progress(preparation, 0);
     // Initial values are those of the first IMU, these two of the first session.
     of_session.initial_time_shift.reset();
+    of_session.gravity_magnitude = options.GravityMagnitude();
+    of_session.latitude.reset();
     of_session.initial_gravity.reset();
   }
 

@@ -339,6 +339,15 @@ TEST(ConditionData, RefusesAShortStreamWithItsDurationAndTheBound) {
   EXPECT_TRUE(Contains(Refusal(data), "accelerometer: 10 of 10 samples"));
 }
 
+TEST(ConditionData, RefusesAnImuOfAFewSamples) {
+  SessionData data = Recording();
+  std::vector<ImuSample> few;
+  for (size_t i = 0; i < data.imus[0].accel.size(); i += 600) few.push_back(data.imus[0].accel[i]);
+  data.imus[0].accel = few;
+  EXPECT_TRUE(Contains(Refusal(data), "accelerometer: 0.333333 Hz (bound: at least 0.5 Hz)"))
+      << Refusal(data);
+}
+
 TEST(ConditionData, RefusesATrackerThatIsFrozenThroughout) {
   SessionData data = Recording();
   for (PoseSample& pose : data.poses) {

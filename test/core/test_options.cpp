@@ -57,7 +57,7 @@ const Field kFields[] = {
     {"accel_delay", &CalibrationOptions::accel_delay, -0.5, 0.5},
     {"gravity_magnitude", &CalibrationOptions::gravity_magnitude, 0.1, 100.0},
     {"gravity_magnitude_std", &CalibrationOptions::gravity_magnitude_std, 1e-9, 10.0},
-    {"robust_loss_scale", &CalibrationOptions::robust_loss_scale, 1.0, kNoBound},
+    {"robust_loss_scale", &CalibrationOptions::robust_loss_scale, 1.0, 1e6},
     {"covariance_block_s", &CalibrationOptions::covariance_block_s, 0.1, 1e6, true},
     {"weak_rotation_std", &CalibrationOptions::weak_rotation_std, 1e-9, 1.0},
     {"weak_translation_std", &CalibrationOptions::weak_translation_std, 1e-9, 10.0},

@@ -41,6 +41,8 @@ TEST(PoseUpdates, TheirBeatIsFound) {
   SessionData data = Simulate(Recording(200.0, 42));
   Interpolate(8, &data.poses);
   EXPECT_EQ(FindUpdatePeriod(data.poses), 8.0);
+  data.poses[777].p_WM.x() = 1e308;
+  EXPECT_EQ(FindUpdatePeriod(data.poses), 8.0);
 }
 
 TEST(PoseUpdates, TheirBeatIsFoundInVibration) {

@@ -160,6 +160,9 @@ TEST(Rig, RefusesWhatIsNoRig) {
   fixed.initial_translation = Eigen::Vector3d::Zero();
   EXPECT_TRUE(Contains(text(fixed, {two}), "estimate_translation = false needs a single imu"));
   EXPECT_TRUE(Contains(text({}, {two}), "imu1 has the samples of imu0"));
+  SessionData later = one;  // shares its first second with the last of the other
+  for (PoseSample& pose : later.poses) pose.p_WM.x() += pose.t_ns > one.poses[200].t_ns ? 1.0 : 0.0;
+  EXPECT_TRUE(Contains(text({}, {one, later}), "session 2: poses of session 1 once more"));
   two.imus[1] = ImuData();
   EXPECT_TRUE(Contains(ErrorText<DataError>([&] { Calibrate({}, two); }), "no samples of imu1"));
   SimulatorOptions motionless = Truth(320, 8.0);
@@ -167,6 +170,25 @@ TEST(Rig, RefusesWhatIsNoRig) {
   const Calibration hinge = Calibrate({}, {one, Simulate(motionless)});
   EXPECT_EQ(hinge.status, Status::kDegenerate);
   EXPECT_TRUE(Contains(hinge.message, "session 2: the marker turns about one axis only"));
+}
+
+TEST(Rig, RefusesWhatASolveCannotDo) {
+  const auto text = [](const CalibrationOptions& options, const SessionData& data) {
+    return ErrorText<std::runtime_error>([&] { Calibrate(options, data); });
+  };
+  SessionData slow = Simulate(Truth(321, 8.0), 2);
+  for (std::vector<ImuSample>* samples : {&slow.imus[1].gyro, &slow.imus[1].accel}) {
+    std::vector<ImuSample> kept;
+    for (size_t i = 0; i < samples->size(); i += 5) kept.push_back((*samples)[i]);
+    *samples = kept;
+  }
+  CalibrationOptions dense;
+  dense.knot_spacing_s = 0.01;  // 40 Hz beside 200
+  EXPECT_TRUE(Contains(text(dense, slow), "within two knots")) << text(dense, slow);
+  EXPECT_TRUE(Contains(text(dense, slow), "of imu1")) << text(dense, slow);
+  CalibrationOptions blocks;
+  blocks.covariance_block_s = 0.1;
+  EXPECT_TRUE(Contains(text(blocks, Simulate(Truth(322, 103.0))), "more than 1000 blocks"));
 }
 
 /// What a solve keeps.

@@ -1,6 +1,7 @@
 // Even clocks behind uneven stamps: estimated where they are there, and of use to a calibration.
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <algorithm>
 #include <functional>
@@ -440,6 +441,21 @@ const Recording kRecordings[] = {
 
 INSTANTIATE_TEST_SUITE_P(Calibrate, UnevenStamps, ::testing::ValuesIn(kRecordings),
                          [](const auto& test) { return std::string(test.param.name); });
+
+TEST(RecoverClock, ASourceThatStoppedForAWhileTakesNoMemory) {
+  std::mt19937 random(9);
+  StampList t_ns = Arrival(Even(1000.0, 60.0), 1e-4, &random);
+  int64_t last = t_ns[20'000] + 9 * kSecond / 10;
+  for (size_t i = 20'000; i < t_ns.size(); ++i) t_ns[i] = last = std::max(t_ns[i], last + 20'000);
+  const auto peak_mb = [] {
+    rusage usage{};
+    getrusage(RUSAGE_SELF, &usage);
+    return 1e-3 * static_cast<double>(usage.ru_maxrss);
+  };
+  const double before = peak_mb();
+  RecoverClock(t_ns);
+  EXPECT_LT(peak_mb() - before, 200.0);
+}
 
 }  // namespace
 }  // namespace imu_pose_calib

@@ -168,6 +168,12 @@ TEST_F(PoseSensorInputTest, RefusesNamesThatAreNoSensor) {
       .Add("/a", Odometry("x"))
       .Add("/a", Odometry("y"));
   ExpectRefusal(Sensors({"/a"}), {"pose_sensor '/a' mixes poses of several frames"});
+  Record()
+      .Add("/imu", Imu(0.1, 9.8))
+      .Add("/pose", Pose())
+      .Add("/a", Odometry("x"))
+      .Add("/a", Odometry("/x"));
+  EXPECT_EQ(ReadBag(Sensors({"/a"})).data.pose_sensors[0].size(), 2u);
 }
 
 TEST_F(PoseSensorInputTest, ARecordingWithThemNeedsNoImu) {

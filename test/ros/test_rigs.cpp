@@ -2,6 +2,8 @@
 
 #include <yaml-cpp/yaml.h>
 
+#include <algorithm>
+
 #include "imu_pose_calib/ros/io/recording.h"
 #include "imu_pose_calib/ros/simulated/recording_writer.h"
 #include "run_executable.h"
@@ -78,26 +80,29 @@ TEST_F(RigsTest, BagsOfTheSameTimeAndTopicsAreSessions) {
 
 TEST_F(RigsTest, BagsThatContinueEachOtherAreOneSession) {
   const SessionData whole = Simulate(Handheld(4, 20.0));
-  const int64_t middle = whole.poses.front().t_ns + 10'000'000'000;
-  SessionData parts[2];
-  const auto deal = [&](const auto& samples, auto member, int64_t offset) {
+  const int64_t begin = whole.poses.front().t_ns;
+  SessionData parts[3];
+  const auto deal = [&](const auto& samples, auto member) {
     for (const auto& sample : samples)
-      member(&parts[sample.t_ns + offset < middle ? 0 : 1]).push_back(sample);
+      member(&parts[std::clamp<int64_t>((sample.t_ns - begin) / 7'000'000'000, 0, 2)])
+          .push_back(sample);
   };
   deal(
-      whole.poses, [](SessionData * d) -> auto& { return d->poses; }, 0);
+      whole.poses, [](SessionData * d) -> auto& { return d->poses; });
   deal(
-      whole.imus[0].gyro, [](SessionData * d) -> auto& { return d->imus[0].gyro; }, 0);
+      whole.imus[0].gyro, [](SessionData * d) -> auto& { return d->imus[0].gyro; });
   deal(
-      whole.imus[0].accel, [](SessionData * d) -> auto& { return d->imus[0].accel; }, 0);
+      whole.imus[0].accel, [](SessionData * d) -> auto& { return d->imus[0].accel; });
   WriteBag(Path("a_0.bag"), parts[0], {});
   WriteBag(Path("a_1.bag"), parts[1], {});
+  WriteBag(Path("a_2.bag"), parts[2], {});
   WriteSession("b.bag", Handheld(5, 20.0), 1);
-  const std::vector<std::string> paths = {Path("a_1.bag"), Path("b.bag"), Path("a_0.bag")};
+  const std::vector<std::string> paths = {Path("a_2.bag"), Path("b.bag"), Path("a_0.bag"),
+                                          Path("a_1.bag")};
   const auto groups = GroupBags(paths);
   // b starts when a does and has its topics: another session.
   ASSERT_EQ(groups.size(), 2u);
-  EXPECT_EQ(groups[0], (std::vector<std::string>{paths[0], paths[2]}));
+  EXPECT_EQ(groups[0], (std::vector<std::string>{paths[0], paths[2], paths[3]}));
   EXPECT_EQ(groups[1], std::vector<std::string>{paths[1]});
 
   // Poses and IMU recorded side by side.
@@ -118,6 +123,8 @@ TEST_F(RigsTest, ASessionMayLackAnImu) {
   const YAML::Node sessions = YAML::LoadFile(Path("x.yaml"))["sessions"];
   EXPECT_EQ(sessions[0]["imus"].size(), 2u);
   EXPECT_EQ(sessions[1]["imus"].size(), 1u);
+  ExpectFailure("s1.bag s2.bag --imu-topic /imu --imu-topic /imu2", 1,
+                {"imu_topic '/imu2' is in no recording"});
   ExpectFailure("s2.bag" + topics, 1, {"imu_topic '/imu1' is not in s2.bag"});
   ExpectFailure("s1.bag --imu-topic /imu --imu-topic /imu", 1, {"'/imu' is given twice"});
   ExpectFailure("s2.bag --imu-frame a --imu-frame b", 1, {"imu_frame names 2 frames for 1 imus"});

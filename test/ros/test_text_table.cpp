@@ -234,6 +234,8 @@ TEST(BadTable, UnitOfTimeMissingOrUnknown) {
                {"line 1", "stamps in 'h', must be s, ms, us or ns"});
   ExpectBadImu("1000,2,3,4,5,6,7\n6000,2,3,4,5,6,7\n",
                {"as seconds, the stamps are 5000.0 s apart", "timestamp [us]"});
+  ExpectBadImu("1600000000000000,2,3,4,5,6,7\n1600000000000500,2,3,4,5,6,7\n",
+               {"as nanoseconds, the stamps are 5.0", "e-07 s apart", "timestamp [us]"});
 }
 
 TEST(BadTable, HeaderWithoutANeededColumn) {

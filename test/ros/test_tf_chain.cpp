@@ -123,8 +123,10 @@ TEST(TfChain, AStampBeyondTheTimesOfRosIsNoPose) {
   late.header.stamp.sec = std::numeric_limits<uint32_t>::max();
   late.header.stamp.nsec = 2'000'000'000;  // as a message may say
   for (int k = 0; k < 2; ++k) chain.Add(Message({late, link}), false);
+  late.header.stamp = ros::TIME_MAX - ros::Duration(0.5 * kCache);  // to which tf2 adds the cache
+  chain.Add(Message({late, Link("world", "marker", 1.5, 2.0), late}), false);
   chain.Add(Message({Link("world", "marker", 2.0, 4.0)}), false);
-  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{1.0, 1.0}, {2.0, 4.0}}));
+  EXPECT_EQ(Summary(chain.TakePoses()), (Poses{{1.0, 1.0}, {1.5, 2.0}, {2.0, 4.0}}));
 }
 
 TEST(TfChain, KeepsTheOrderOfReversedStamps) {

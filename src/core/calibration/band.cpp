@@ -5,6 +5,7 @@
 
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/so3.h"
+#include "imu_pose_calib/core/base/text.h"
 
 namespace imu_pose_calib {
 namespace {
@@ -210,6 +211,10 @@ std::vector<ImuInstants> FindInstants(const PreparedSession& limited, const Sess
           instants[i].accel.push_back(knot);
       }
     }
+    if (instants[i].gyro.empty() || instants[i].accel.empty())
+      Throw<DataError>("no ", instants[i].gyro.empty() ? "gyroscope" : "accelerometer",
+                       " samples follow each other within two knots (knot_spacing_s: ",
+                       splines.spacing(), " s)", OfImu(i, instants.size()));
   }
   return instants;
 }

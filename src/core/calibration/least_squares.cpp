@@ -13,6 +13,7 @@
 #include "imu_pose_calib/core/base/dense.h"
 #include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/parallel.h"
+#include "imu_pose_calib/core/base/text.h"
 #include "imu_pose_calib/core/calibration/priors.h"
 #include "imu_pose_calib/core/calibration/residuals.h"
 
@@ -31,6 +32,8 @@ constexpr size_t kTouched = 20;  // one span of so many is left out, that of the
 /// miss none of them.
 constexpr double kReach = 0.75;
 constexpr double kRounding = 1e-6;
+/// Of them, at most: memory goes with their square.
+constexpr int kMostWindows = 1000;
 /// Of them, that a step has, others being joined: enough for all cores.
 constexpr int kStepWindows = 8;
 
@@ -179,6 +182,9 @@ Windows::Windows(const CalibrationOptions& options, const std::vector<PreparedSe
   }
   length_s_ = options.covariance_block_s > 0.0 ? options.covariance_block_s
                                                : std::max(kShortestWindow, total / kWindows);
+  if (total > kMostWindows * length_s_)
+    Throw<InputError>("covariance_block_s = ", length_s_, " makes more than ", kMostWindows,
+                      " blocks of ", total, " s");
   for (size_t s = 0; s < spans_.size(); ++s) {
     Span& span = spans_[s];
     span.first = count();
@@ -354,7 +360,7 @@ StepSummary LeastSquares::Step() {
     const double moved = LargestMove(order, step.x, step.covariance.diagonal().cwiseSqrt());
     if (options.solver == SolverKind::kCeres) {
       const auto iterations = SolveWithCeres(kCeresTolerance);
-      if (!iterations) break;
+      if (!iterations || !std::isfinite(step.decrease)) break;
       estimate->peaks = MatchPeaks(*estimate, order.calibrated, step.covariance);
       return {true, *iterations, moved};
     }

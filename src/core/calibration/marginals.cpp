@@ -187,6 +187,7 @@ ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functio
     sessions_[solved.windows.SessionOf(w)].windows.push_back(w);
   }
   for (std::vector<Part>* parts : {&halves_, &sessions_}) {
+    if (parts == &sessions_ && sessions_.size() == 1) continue;  // which is all
     for (Part& part : *parts) {
       part.reduced = eliminated_->Reduce(part.windows);
       AddPriors(&part);
@@ -278,7 +279,8 @@ void ReducedProblem::AddPriors(Part* part) const {
   const std::vector<int>& windows = part->windows;
   for (const Prior& prior : priors_) {
     if (std::binary_search(windows.begin(), windows.end(), prior.window)) continue;
-    if (part->reduced.H(prior.columns[0], prior.columns[0]) == 0.0) continue;  // another session's
+    const Eigen::VectorXd told = part->reduced.H.diagonal();
+    if (Gather(told, prior.columns, {0}).isZero(0.0)) continue;  // another session's
     prior.AddTo(&part->reduced.H);
     for (const int w : windows)
       for (size_t k = 0; k < prior.columns.size(); ++k)

@@ -24,6 +24,7 @@ constexpr double kSpikeSteps = 10.0, kSpikeSpreads = 5.0;
 constexpr double kMaxNoiseScale = 10.0;
 /// Median specific force of a moving body, in units of gravity.
 constexpr double kMinForce = 0.4, kMaxForce = 10.0;
+constexpr double kLeastRate = 0.5;  // [Hz] of an IMU: less has no spectrum
 
 /// A clipped axis: at least so many samples at the limit, and more than within so much below it.
 constexpr size_t kMinClipped = 3;
@@ -303,6 +304,10 @@ void ConditionImu(const CalibrationOptions& options, const std::string& of, cons
   imu->accel = ToSeconds(accel, imu->epoch_ns);
   CheckDuration("gyroscope" + of, imu->gyro, options.min_overlap_s, &imu->gyro_report);
   CheckDuration("accelerometer" + of, imu->accel, options.min_overlap_s, &imu->accel_report);
+  for (const StreamReport* report : {&imu->gyro_report, &imu->accel_report})
+    if (report->rate_hz < kLeastRate)
+      Throw<DataError>(report == &imu->gyro_report ? "gyroscope" : "accelerometer", of, ": ",
+                       report->rate_hz, " Hz (bound: at least ", kLeastRate, " Hz)");
   CheckAccelerometerUnit("accelerometer" + of, imu->accel, options.GravityMagnitude());
 }
 

@@ -28,8 +28,11 @@ Eigen::ArrayXd FindSpectrum(const std::vector<PoseSample>& poses) {
   Eigen::MatrixXd x = Eigen::Map<const Eigen::MatrixXd>(norms.data(), kBlock, blocks);
   for (Eigen::Index b = 0; b < blocks; ++b) {
     auto block = x.col(b);
-    if (block.mean() == 0.0) continue;
-    block = (block.array() / block.mean() + kNothing).log();
+    const double mean = block.mean();
+    if (mean == 0.0 || !std::isfinite(mean))
+      block.setZero();
+    else
+      block = (block.array() / mean + kNothing).log();
     block.array() -= block.mean();
   }
   const Eigen::VectorXd place = Eigen::VectorXd::LinSpaced(kBlock, 0.0, 1.0 - 1.0 / kBlock);

@@ -111,6 +111,7 @@ FrameCount FindFrames(const std::vector<double>& t, double period, size_t memory
     if (below > most) return {{}, kInfinity};
     const auto is_near = [&](const State& state) { return state.cost <= below + kBeam; };
     auto& states = next.by_missing;
+    while (!is_near(states.back())) states.pop_back();  // of samples that waited longer
     const auto first_near = std::find_if(states.begin(), states.end(), is_near);
     next.first += static_cast<int>(first_near - states.begin());
     states.erase(states.begin(), first_near);

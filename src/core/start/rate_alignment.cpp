@@ -139,13 +139,16 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
     early += (static_cast<double>(bin) + 0.5) * kRateBin - (s.t - gyro_begin);
   }
   early /= static_cast<double>(gyro.size());
+  // [s] for which a bin with samples stands.
+  const double own =
+      std::max(kRateBin, (gyro.back().t - gyro_begin) / static_cast<double>(gyro.size() - 1));
   imu.value /= imu.weight.max(1.0);  // the mean of the samples in a bin
   imu.weight = imu.weight.min(1.0);
 
   const MaskedCorrelation correlation(marker, imu, threads);
   const auto shift = [&](double lag) { return lag * kRateBin + early - gyro_begin; };
   const auto score = [&](ptrdiff_t lag) {
-    if (correlation.Count(lag) * kRateBin < min_overlap_s) return 0.0;
+    if (correlation.Count(lag) * own < min_overlap_s) return 0.0;
     if (guess && std::abs(shift(static_cast<double>(lag)) - *guess) > kGuessWindow) return 0.0;
     return Evidence(correlation.At(lag), correlation.Count(lag));
   };

@@ -2,6 +2,7 @@
 #include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
 #include <functional>
+#include <map>
 #include <optional>
 #include <set>
 #include <string>
@@ -257,7 +258,8 @@ struct PoseReader {
 
   void Add(const BagMessage& message, const FramedPose& framed, bool record_time) {
     if (poses.samples.empty()) first = framed;
-    if (framed.world_frame != first.world_frame || framed.marker_frame != first.marker_frame)
+    if (FrameName(framed.world_frame, "") != FrameName(first.world_frame, "") ||
+        FrameName(framed.marker_frame, "") != FrameName(first.marker_frame, ""))
       Reject(field, " '", topic.name, "' mixes poses of several frames: '", first.world_frame,
              "' -> '", first.marker_frame, "' and '", framed.world_frame, "' -> '",
              framed.marker_frame, "'");
@@ -402,9 +404,9 @@ constexpr double kMaxPause = 2.0, kMaxOverlap = 0.5;
 struct BagSpan {
   double begin_s, end_s;
   std::set<std::string> topics;
-  size_t recording = 0;  ///< which it is of
+  size_t recording;  ///< the first bag of that which it is of
 
-  explicit BagSpan(const std::string& path) {
+  BagSpan(const std::string& path, size_t number) : recording(number) {
     const Bags bag({path}, 0.0, 0.0);
     begin_s = bag.begin_s();
     end_s = begin_s + bag.duration_s();
@@ -447,16 +449,21 @@ std::vector<std::vector<std::string>> GroupBags(const std::vector<std::string>& 
   if (paths.size() < 2) return {paths};
   CheckBagsExist(paths);
   return Printably(paths, [&] {
-    std::vector<std::vector<std::string>> recordings;
     std::vector<BagSpan> spans;
     for (const std::string& path : paths) {
-      BagSpan& span = spans.emplace_back(path);
-      span.recording = recordings.size();
-      for (const BagSpan& other : spans)
-        if (span.Continues(other)) span.recording = std::min(span.recording, other.recording);
-      recordings.resize(std::max(recordings.size(), span.recording + 1));
-      recordings[span.recording].push_back(path);
+      const BagSpan& own = spans.emplace_back(path, spans.size());
+      for (const BagSpan& other : spans) {
+        if (!own.Continues(other)) continue;
+        const size_t one = std::min(own.recording, other.recording);
+        const size_t joined = std::max(own.recording, other.recording);
+        for (BagSpan& span : spans)
+          if (span.recording == joined) span.recording = one;
+      }
     }
+    std::map<size_t, std::vector<std::string>> by_first;
+    for (size_t i = 0; i < paths.size(); ++i) by_first[spans[i].recording].push_back(paths[i]);
+    std::vector<std::vector<std::string>> recordings;
+    for (auto& [first, bags] : by_first) recordings.push_back(std::move(bags));
     return recordings;
   });
 }

@@ -144,9 +144,9 @@ class TableReader {
     if (count == 0) lines_.Fail("holds no samples");
     if (!may_lack_unit_ || count == 1) return;
     const double period_s = Seconds(last_ns - first_ns) / static_cast<double>(count - 1);
-    if (period_s >= 1.0)
-      lines_.Fail("as seconds, the stamps are " + YamlNumber(period_s) +
-                  " s apart; name their unit in a header: 'timestamp [us]'");
+    if (are_ns_ ? period_s < 1e-6 : period_s >= 1.0)
+      lines_.Fail(std::string("as ") + (are_ns_ ? "nanoseconds" : "seconds") + ", the stamps are " +
+                  YamlNumber(period_s) + " s apart; name their unit in a header: 'timestamp [us]'");
   }
 
  private:
@@ -204,9 +204,9 @@ class TableReader {
     std::string unit = Stamps().unit;
     if (unit.empty()) {
       const bool is_whole = text.find_first_of(".eE") == std::string::npos;
-      const bool is_ns = is_whole && std::abs(*rough) > 1e15;
-      unit = is_ns ? "ns" : "s";
-      may_lack_unit_ = may_lack_unit_ && is_whole && !is_ns;
+      are_ns_ = is_whole && std::abs(*rough) > 1e15;
+      unit = are_ns_ ? "ns" : "s";
+      may_lack_unit_ = may_lack_unit_ && is_whole;
     }
     const auto scale = static_cast<double>(kNanoseconds.at(unit));
     if (!(std::abs(*rough) <= kMaxStampNs / scale))
@@ -231,7 +231,8 @@ class TableReader {
   TextLines lines_;
   Header header_;               ///< of the table; before its first sample, what may be one
   std::vector<size_t> index_;   ///< of each column in a line; empty: no header and no sample yet
-  bool may_lack_unit_ = false;  ///< whole stamps so far: hardly seconds, if far apart
+  bool may_lack_unit_ = false;  ///< whole stamps so far: hardly seconds, if far apart,
+  bool are_ns_ = false;         ///< nor nanoseconds, if next to each other
 };
 
 }  // namespace

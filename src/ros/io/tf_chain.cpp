@@ -53,7 +53,9 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
 
   const int64_t stamp = ToNanoseconds(transform.header.stamp);
   if (stamp == 0) return;  // tf2 would take it for the latest
-  const bool usable = IsUsable(transform.transform) && stamp <= ToNanoseconds(ros::TIME_MAX);
+  // tf2 adds the time that it keeps.
+  const bool usable =
+      IsUsable(transform.transform) && stamp <= ToNanoseconds(ros::TIME_MAX) - cache_ns_;
   if (link.last == 0) {
     if (!usable) return;  // no pose before the first usable one
     link.first = stamp;
@@ -66,9 +68,9 @@ void TfChain::AddMoving(const geometry_msgs::TransformStamped& transform) {
   }
   if (link.moves || !usable) updates[stamp] |= !usable;
   if (usable) {
+    if (stamp != link.last) buffer_->setTransform(transform, "");  // else it warns of each
     link.first = std::min(link.first, stamp);
     link.last = std::max(link.last, stamp);
-    buffer_->setTransform(transform, "");
   }
   // Nothing is known of updates further from the last usable one than the cache.
   updates.erase(updates.begin(), updates.lower_bound(link.last - cache_ns_));

@@ -108,7 +108,7 @@ void NameFrames(const OfflineRequest& request, RecordingInfo* info) {
 
 /// Makes the recordings those of one rig: each has a place for every sensor, whose frame is that
 /// of the first recording that has it. Throws InputError when none has a pose sensor.
-void CompleteRig(const std::vector<std::string>& pose_sensors, std::vector<Recording>* recordings) {
+void CompleteRig(const OfflineRequest& request, std::vector<Recording>* recordings) {
   const auto name_alike = [recordings](auto frame_of) {
     std::string name;
     for (Recording& recording : *recordings)
@@ -123,8 +123,15 @@ void CompleteRig(const std::vector<std::string>& pose_sensors, std::vector<Recor
     recording.data.imus.resize(imus);
   }
   name_alike([](RecordingInfo * info) -> auto& { return info->marker_frame; });
-  for (size_t i = 0; i < imus; ++i)
-    name_alike([i](RecordingInfo * info) -> auto& { return info->imus[i].imu_frame; });
+  const bool is_split = request.imu_topic.empty();
+  const auto topics = SplitNames(is_split ? request.gyro_topic : request.imu_topic);
+  for (size_t i = 0; i < imus; ++i) {
+    const std::string frame =
+        name_alike([i](RecordingInfo * info) -> auto& { return info->imus[i].imu_frame; });
+    if (frame.empty() && i < topics.size())
+      Reject(is_split ? "gyro_topic" : "imu_topic", " '", topics[i], "' is in no recording");
+  }
+  const std::vector<std::string> pose_sensors = SplitPaths(request.pose_sensors);
   for (size_t k = 0; k < pose_sensors.size(); ++k) {
     const std::string frame =
         name_alike([k](RecordingInfo * info) -> auto& { return info->pose_sensors[k].frame; });
@@ -141,7 +148,7 @@ std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& session
     recordings.push_back(session.paths.empty() ? ReadText(session) : ReadBag(session));
     recordings.back().info.imu_yaml = session.imu_yaml;
   }
-  CompleteRig(SplitPaths(sessions.front().pose_sensors), &recordings);
+  CompleteRig(sessions.front(), &recordings);
   for (Recording& recording : recordings) NameFrames(sessions.front(), &recording.info);
   return recordings;
 }

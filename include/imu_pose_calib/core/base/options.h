@@ -251,7 +251,7 @@ void VisitFields(Options&& options, Visitor&& visit) {
   visit(IMU_POSE_CALIB_FIELD(invert_sensor_poses), Bound{});
   visit(IMU_POSE_CALIB_FIELD(estimate_sensor_scale), Bound{});
   visit(IMU_POSE_CALIB_FIELD(knot_spacing_s), Bound{1e-3, 10.0, true});
-  visit(IMU_POSE_CALIB_FIELD(robust_loss_scale), Bound{1.0});
+  visit(IMU_POSE_CALIB_FIELD(robust_loss_scale), Bound{1.0, 1e6});
   visit(IMU_POSE_CALIB_FIELD(max_iterations), Bound{1, 10000});
   visit(IMU_POSE_CALIB_FIELD(num_threads), Bound{0, 1024});
   visit(IMU_POSE_CALIB_FIELD(max_factor_mb), Bound{0.0, 1e6});
