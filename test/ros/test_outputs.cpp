@@ -2,6 +2,7 @@
 // was, and new files are all of one run.
 
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <yaml-cpp/yaml.h>
 
 #include <cstring>
@@ -239,6 +240,14 @@ TEST_F(OutputsTest, RefusedDataTouchNothing) {
   outcome = Calibrate("x.bag --duration 4 --output y.yaml --report y.html");
   EXPECT_TRUE(Contains(outcome.err, "; report: y.html\n")) << outcome.err;
   EXPECT_FALSE(std::filesystem::exists(Path("y.yaml")));
+}
+
+TEST_F(OutputsTest, APipeIsRefusedAtOnce) {
+  ASSERT_EQ(mkfifo(Path("pipe").c_str(), 0600), 0);
+  const Outcome outcome = Run(
+      "/usr/bin/env", "timeout 60 " IMU_POSE_CALIB_BIN_DIR "/calibrate_bag x.bag --output pipe");
+  EXPECT_EQ(outcome.status, 1);
+  EXPECT_TRUE(Contains(outcome.err, "output 'pipe' is no regular file")) << outcome.err;
 }
 
 /// Under `timeout`, which sends the signal after that many seconds.

@@ -125,6 +125,7 @@ bool IsOurs(const fs::path& path) {
 
 /// What a result says that its run wrote elsewhere, see RunInfo; nothing when it is none of ours.
 std::vector<std::string> ListedIn(const std::string& result) {
+  if (!IsFile(result)) return {};  // a pipe would keep it waiting
   try {
     const YAML::Node root = ParseYaml(ReadYamlFile(result));
     auto files = root["imu_pose_calib"]["files"].as<std::vector<std::string>>();
