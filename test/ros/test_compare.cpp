@@ -279,6 +279,19 @@ TEST_F(CompareTest, UnknownExportsAreRefusedBeforeAnythingIsDone) {
   }
 }
 
+TEST_F(CompareTest, ExportsDoNotReplaceTheChainTheyAreOf) {
+  WriteResult("a.yaml");
+  ASSERT_EQ(Run("export_calibration", "a.yaml --export kalibr").status, 0);
+  const std::string chain = ReadText(Path("a.kalibr.camchain-imucam.yaml"));
+  const Outcome outcome =
+      Run("export_calibration",
+          "a.yaml --export kalibr --chain a.kalibr.camchain-imucam.yaml --chain-output pre");
+  EXPECT_EQ(outcome.status, 1);
+  EXPECT_TRUE(Contains(outcome.err, "would replace the chain 'a.kalibr.camchain")) << outcome.err;
+  EXPECT_EQ(ReadText(Path("a.kalibr.camchain-imucam.yaml")), chain);
+  EXPECT_FALSE(std::filesystem::exists(Path("pre.urdf")));
+}
+
 TEST_F(CompareTest, Px4TakesTheAxesOfTheBody) {
   WriteResult("a.yaml");
   ASSERT_EQ(Run("export_calibration", "a.yaml --export px4 --body-imu '1 0 0 0'").status, 0);

@@ -338,10 +338,21 @@ TEST_F(ExportFiles, StandNextToTheResult) {
   EXPECT_EQ(paths, std::vector<std::string>(
                        {Path("my.calibration.evo.json"), Path("my.calibration.urdf")}));
   EXPECT_EQ(ReadText(paths[0]), FileOf(stored, "evo", "evo.json"));
+  EXPECT_EQ(ExportPaths(stored.path, {"evo", "urdf"}, 1), paths);
   EXPECT_EQ(WriteExports(stored, {"tf"}, &outputs, Path("a/b")),  // made
             std::vector<std::string>({Path("a/b/my.calibration.tf.launch")}));
   ExpectError<InputError>([&] { WriteExports(stored, {"tf"}, &outputs, paths[0] + "/c"); },
                           {"my.calibration.evo.json/c", "Not a directory"});
+}
+
+TEST_F(ExportFiles, AreKnownBeforeTheyAreWritten) {
+  for (const size_t imus : {0, 1, 2}) {
+    StoredResult stored = SensorExample(imus);
+    stored.path = Path("r.yaml");
+    OutputFiles outputs;
+    EXPECT_EQ(ExportPaths(stored.path, ExportNames(), imus),
+              WriteExports(stored, ExportNames(), &outputs));
+  }
 }
 
 TEST_F(ExportFiles, WithoutAnImuAreThoseOfFrames) {

@@ -90,6 +90,20 @@ TEST_F(OutputFilesTest, LinksStayAndLeadToWhatIsNew) {
                           {"report and output are both"});
 }
 
+TEST_F(OutputFilesTest, ReplaceNeitherWhatIsReadNorEachOther) {
+  Write("a", "old");
+  std::filesystem::create_symlink("a", Path("link"));
+  OutputFiles files;
+  files.Keep("chain", Path("a"));
+  ExpectError<InputError>([&] { files.Plan("export", Path("link")); },
+                          {"export '", "/link' would replace the chain '", "/a'; choose another"});
+  ExpectError<InputError>([&] { files.Write(Path("link"), "new"); },
+                          {"output '", "/link' would replace the chain"});
+  files.Write(Path("b"), "new");
+  ExpectError<InputError>([&] { files.Write(Path("c/../b"), "new"); },
+                          {"/b' would replace another file of this run; choose another"});
+}
+
 // --- calibrate_bag ---
 
 /// Each is refused before anything is calibrated.
@@ -125,6 +139,8 @@ const char* const kMistakes[] = {
     "x.bag --output folder",
     "x.bag --output x.bag",
     "x.bag --output /dev/full",
+    "x.bag --imu-yaml x.calibration.kalibr.imu0.yaml --export kalibr",
+    "x.bag --trajectory x.calibration.urdf --trajectory-format tum --export urdf",
     "x.bag --marker-frame a --imu-frame a",
     "x.bag --imu-frame 'a b'",
     "x.bag --no-such-option",
@@ -215,6 +231,9 @@ TEST_F(OutputsTest, UsageErrorsTouchNothing) {
     EXPECT_EQ(std::count(outcome.err.begin(), outcome.err.end(), '\n'), 1) << outcome.err;
     EXPECT_EQ(Contents(dir_), before) << options;
   }
+  EXPECT_TRUE(
+      Contains(Calibrate("x.bag --imu-yaml x.calibration.kalibr.imu0.yaml --export all").err,
+               "export 'x.calibration.kalibr.imu0.yaml' would replace the imu_yaml"));
   EXPECT_FALSE(Contains(Calibrate("x.bag --config bad.yaml").err, "did you mean"));
   const std::string text = Calibrate("x.bag --imu-topic /nope").err;
   EXPECT_TRUE(std::regex_search(

@@ -422,6 +422,10 @@ bool HasPlayer(const Template& file) {
                      [&](const char* name) { return boost::contains(file.text, name); });
 }
 
+std::string EndingOf(const Template& file, size_t imu) {
+  return boost::replace_all_copy<std::string>(file.name, "imuN", "imu" + std::to_string(imu));
+}
+
 bool IsOf(const std::string& program, const Template& file) {
   return boost::starts_with(std::string(file.name) + ".", program + ".");
 }
@@ -430,6 +434,12 @@ bool NeedsImu(const std::string& program) {
   return std::any_of(std::begin(kTemplates), std::end(kTemplates), [&](const Template& file) {
     return IsOf(program, file) && !IsOfFrames(file);
   });
+}
+
+/// The path of a result without its ending.
+std::filesystem::path Stem(std::filesystem::path result) {
+  if (result.extension() == ".yaml" || result.extension() == ".yml") result.replace_extension();
+  return result;
 }
 
 /// The cameras of a chain of Kalibr, or of OpenVINS, by their names: x_imu = T x_cam.
@@ -497,8 +507,7 @@ std::vector<ExportFile> Export(const StoredResult& stored, const std::string& na
         imus.push_back(LinkValues(imus.size(), stored.infos.front().marker_frame, frame, T_MF));
     if (!is_of_one) files.push_back({file.name, Render(file, head, imus)});
     for (size_t i = 0; is_of_one && i < imus.size(); ++i)
-      files.push_back({boost::replace_all_copy<std::string>(file.name, "N", std::to_string(i)),
-                       Render(file, head, {imus[i]})});
+      files.push_back({EndingOf(file, i), Render(file, head, {imus[i]})});
   }
   return files;
 }
@@ -523,11 +532,23 @@ cameras: x_cam = T_cam_imu x_imu of {source}; published is its inverse)";
   return files;
 }
 
+std::vector<std::string> ExportPaths(const std::string& result,
+                                     const std::vector<std::string>& names, size_t imus) {
+  std::vector<std::string> paths;
+  for (const std::string& name : names)
+    for (const Template& file : kTemplates) {
+      if (!IsOf(name, file) || (imus == 0 && NeedsImu(name))) continue;
+      const size_t files = boost::contains(file.name, "imuN") ? imus : 1;
+      for (size_t i = 0; i < files; ++i)
+        paths.push_back(Stem(result).string() + "." + EndingOf(file, i));
+    }
+  return paths;
+}
+
 std::vector<std::string> WriteExports(const StoredResult& stored,
                                       const std::vector<std::string>& names, OutputFiles* outputs,
                                       const std::string& folder, const ExportChoice& choice) {
-  std::filesystem::path stem = stored.path;
-  if (stem.extension() == ".yaml" || stem.extension() == ".yml") stem.replace_extension();
+  std::filesystem::path stem = Stem(stored.path);
   if (!folder.empty()) {
     stem = folder / stem.filename();
     outputs->MakeFolder(folder);

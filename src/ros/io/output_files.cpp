@@ -149,10 +149,18 @@ OutputFiles::~OutputFiles() {
   std::for_each(folders_.rbegin(), folders_.rend(), RemoveTemporary);
 }
 
+void OutputFiles::CheckKept(const std::string& field, const std::string& path) const {
+  std::error_code ignored;
+  for (const auto& [name, kept] : kept_)
+    if (fs::equivalent(path, kept, ignored))
+      Reject(field, " '", path, "' would replace the ", name, " '", kept, "'; choose another");
+}
+
 void OutputFiles::Plan(const std::string& field, const std::string& path, bool may_make_folders) {
+  CheckKept(field, path);
   const std::string target = Target(field, path);
-  for (const Planned& other : planned_)
-    if (IsSame(other.target, target))
+  for (const Named& other : planned_)
+    if (IsSame(other.path, target))
       Reject(field, " and ", other.field, " are both '", path, "'; choose another");
   planned_.push_back({field, target});
   fs::path folder = fs::absolute(target).parent_path();
@@ -161,7 +169,11 @@ void OutputFiles::Plan(const std::string& field, const std::string& path, bool m
 }
 
 std::string OutputFiles::Draft(const std::string& path) {
+  CheckKept("output", path);
   const std::string target = Target("output", path);
+  for (const File& other : files_)
+    if (IsSame(other.target, target))
+      Reject("output '", path, "' would replace another file of this run; choose another");
   files_.push_back({path, target, MakeDraft("output", path, target)});
   return files_.back().draft;
 }

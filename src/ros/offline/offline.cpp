@@ -153,31 +153,23 @@ std::vector<Recording> ReadRecordings(const std::vector<OfflineRequest>& session
   return recordings;
 }
 
-/// Throws InputError when a file cannot be written, or would replace what is read.
-void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions,
-                OutputFiles* outputs, bool may_make_folders = false) {
+/// No output is to replace what is read.
+void KeepInputs(const std::vector<OfflineRequest>& sessions, OutputFiles* outputs) {
   for (const OfflineRequest& request : sessions) {
-    std::vector<std::pair<const char*, std::string>> inputs = {
-        {"poses", request.poses},
-        {"imu", request.imu},
-        {"gyro", request.gyro},
-        {"accel", request.accel},
-        {"config", request.config},
-        {"imu_yaml", request.imu_yaml},
-        {"calibration", request.calibration}};
+    outputs->Keep("poses", request.poses);
+    outputs->Keep("imu", request.imu);
+    outputs->Keep("gyro", request.gyro);
+    outputs->Keep("accel", request.accel);
+    outputs->Keep("config", request.config);
+    outputs->Keep("imu_yaml", request.imu_yaml);
+    outputs->Keep("calibration", request.calibration);
     for (const std::string& path : request.paths) {
-      for (const std::string& file : MessageFiles(path)) inputs.emplace_back("bag", file);
-      inputs.emplace_back("bag", path + "/metadata.yaml");  // of a folder
+      for (const std::string& file : MessageFiles(path)) outputs->Keep("bag", file);
+      outputs->Keep("bag", path + "/metadata.yaml");  // of a folder
     }
     for (const std::string& name : SplitPaths(request.pose_sensors))
-      inputs.emplace_back("pose_sensor", SplitBody(name).first);
-    std::error_code ignored;
-    for (const auto& [name, path] : inputs)
-      if (std::filesystem::equivalent(output.value, path, ignored))
-        Reject(std::string(output.name), " '", output.value, "' would replace the ", name, " '",
-               path, "'; choose another");
+      outputs->Keep("pose_sensor", SplitBody(name).first);
   }
-  outputs->Plan(output.name, output.value, may_make_folders);
 }
 
 /// Draws why the data were refused, beside the report of an earlier run, which stays. That they
@@ -200,7 +192,7 @@ void PlanOutput(const Given& output, const std::vector<OfflineRequest>& sessions
 /// See CalibrateOffline().
 void RunOffline(const Progress& progress, OfflineResult* offline) {
   const OfflineRequest& given = offline->request;
-  ParseExports(given.exports);
+  const std::vector<std::string> exports = ParseExports(given.exports);
   for (const std::string& path : given.paths)
     if (!std::filesystem::exists(path)) Reject("bag '", path, "' does not exist");
   const std::vector<OfflineRequest> requests = SplitSessions(given);
@@ -214,8 +206,9 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
   if (!given.report.empty() && extension != ".html" && extension != ".pdf")
     Reject("report '", given.report, "' must end in .html or .pdf");
   OutputFiles* outputs = offline->outputs.get();
-  PlanOutput({"output", given.output}, requests, outputs);
-  if (!given.report.empty()) PlanOutput({"report", given.report}, requests, outputs);
+  KeepInputs(requests, outputs);
+  outputs->Plan("output", given.output);
+  if (!given.report.empty()) outputs->Plan("report", given.report);
 
   if (progress) progress("recording", std::nullopt);
   for (Recording& recording : ReadRecordings(requests)) {
@@ -227,7 +220,10 @@ void RunOffline(const Progress& progress, OfflineResult* offline) {
                        offline->sessions[0].imus.size(), offline->infos[0].pose_sensors);
   for (const TrajectoryTarget& target : offline->trajectories)
     for (const std::string& file : target.Files())
-      PlanOutput({"trajectory", file}, requests, outputs, target.format == TrajectoryFormat::kAsl);
+      outputs->Plan("trajectory", file, target.format == TrajectoryFormat::kAsl);
+  for (const std::string& file :
+       ExportPaths(given.output, exports, offline->sessions[0].imus.size()))
+    outputs->Plan("export", file);
   if (progress) progress("recording", 0);
 
   const bool is_kept = given.keep_data || !given.report.empty();

@@ -51,6 +51,8 @@ void Run(int argc, char** argv) {
   const StoredResult stored = LoadResult(result);
   const InterruptGuard guard;
   OutputFiles outputs;
+  outputs.Keep("result", result);
+  outputs.Keep("chain", chain);
   std::vector<std::string> paths = WriteExports(stored, names, &outputs, output_dir, choice);
   if (!chain.empty())
     for (const auto& [ending, text] : ExportChain(stored, imu, chain)) {

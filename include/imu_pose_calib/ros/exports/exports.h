@@ -52,6 +52,11 @@ std::vector<ExportFile> Export(const StoredResult& stored, const std::string& na
 std::vector<ExportFile> ExportChain(const StoredResult& stored, size_t imu,
                                     const std::string& path);
 
+/// The files of all `names` next to a result of so many IMUs, my.calibration.kalibr.imu0.yaml for
+/// my.calibration.yaml; none of a program that needs an IMU where there is none.
+std::vector<std::string> ExportPaths(const std::string& result,
+                                     const std::vector<std::string>& names, size_t imus);
+
 /// Writes the files of all `names` to `outputs`, next to the result, or into `folder` if that is
 /// not empty: my.calibration.kalibr.imu0.yaml for my.calibration.yaml. Returns their paths. Of all
 /// names those are left out that need an IMU which the result does not hold.

@@ -24,12 +24,15 @@ class OutputFiles : boost::noncopyable {
   /// Tells the run from others: "20261125T012345-1a2b3c4d", the time (UTC) and a random number.
   const std::string& run_id() const { return run_id_; }
 
-  /// Throws unless a file can be written at `path`, and when it is the place of another that is
-  /// planned. `may_make_folders`: its folder need not be there.
+  /// What is read, as `field`: no file is to replace it.
+  void Keep(const std::string& field, const std::string& path) { kept_.push_back({field, path}); }
+  /// Throws unless a file can be written at `path`, and when it would replace what is read or is
+  /// the place of another that is planned. `may_make_folders`: its folder need not be there.
   void Plan(const std::string& field, const std::string& path, bool may_make_folders = false);
 
   void Write(const std::string& path, const std::string& text);
-  /// Where to write what is to be at `path`, for writers that want a name.
+  /// Where to write what is to be at `path`, for writers that want a name. Throws when that would
+  /// replace what is read, or another file of the run.
   std::string Draft(const std::string& path);
   /// Makes a folder, and those that it is in.
   void MakeFolder(const std::string& path);
@@ -44,12 +47,14 @@ class OutputFiles : boost::noncopyable {
   struct File {
     std::string path, target, draft;
   };
-  struct Planned {
-    std::string field, target;
+  struct Named {
+    std::string field, path;
   };
 
+  void CheckKept(const std::string& field, const std::string& path) const;
+
   std::string run_id_;
-  std::vector<Planned> planned_;
+  std::vector<Named> kept_, planned_;
   std::vector<File> files_;
   std::vector<std::string> committed_;  ///< targets
   std::vector<std::string> folders_;    ///< new ones, the outer first
