@@ -476,6 +476,12 @@ TEST_F(CalibrateBagTest, SimulationRefusesBadOptions) {
   expect_refusal("no/dir --format text --duration 2", "no/dir.poses.txt");
   expect_refusal("/proc/dir --format asl --duration 2", "/proc/dir");
   expect_refusal("a.bag --duration 2 --time-shift 1e10", "--time-shift");
+  const std::string other = " would replace another file of this run; choose another";
+  expect_refusal("a.bag --duration 2 --truth a.bag", "'a.bag'" + other);
+  expect_refusal("a --duration 2 --format text --truth a.imu.csv", "'a.imu.csv'" + other);
+  expect_refusal("a/mav0 --duration 2 --format asl --truth a", "'a/mav0/imu0/data.csv'" + other);
+  for (const char* file : {"a", "a.bag", "a.imu.csv", "a.truth.yaml"})
+    EXPECT_FALSE(std::filesystem::exists(Path(file))) << file;
   for (const std::string format : {"bag", "mcap", "db3"})
     expect_refusal("no/dir." + format + " --duration 2 --format " + format, "no/dir." + format);
 }

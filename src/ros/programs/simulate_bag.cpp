@@ -183,13 +183,13 @@ void Run(int argc, char** argv) {
   const std::vector<TrajectoryTarget> targets =
       PlanTrajectories(truth, Method::kJoint, 1, line.imus);
   const SessionData data = Simulate(simulator, line.imus);
+  OutputFiles outputs;
   if (is_bag) {
     line.bag.ros2 = bag_format->second;
-    WriteBag(line.output, data, line.bag);
+    WriteBag(outputs.Draft(line.output), data, line.bag);
   }
-  if (line.format == "asl") WriteAslFolder(prefix, data);
-  if (line.format == "text") WriteTables(prefix, data, line.bag.split_imu);
-  OutputFiles outputs;
+  if (line.format == "asl") WriteAslFolder(prefix, data, &outputs);
+  if (line.format == "text") WriteTables(prefix, data, line.bag.split_imu, &outputs);
   outputs.Write(prefix + ".truth.yaml", TruthYaml(simulator));
   for (const TrajectoryTarget& target : targets)
     WriteTruth(target, FurtherImu(simulator, target.place), data.imus[target.place], &outputs);

@@ -298,8 +298,8 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
   }
 }
 
-void WriteAslFolder(const std::string& folder, const SessionData& data) {
-  OutputFiles files;
+void WriteAslFolder(const std::string& folder, const SessionData& data, OutputFiles* outputs) {
+  OutputFiles own, &files = outputs ? *outputs : own;
   const auto write = [&](const std::string& sensor, const std::string& table) {
     files.MakeFolder(folder + "/" + sensor);
     files.Write(folder + "/" + sensor + "/data.csv", table);
@@ -309,11 +309,12 @@ void WriteAslFolder(const std::string& folder, const SessionData& data) {
   write("imu0", ImuTable(true, data.imus[0]));
   for (size_t k = 0; k < data.pose_sensors.size(); ++k)
     write("pose_sensor" + std::to_string(k), PoseTable(true, data.pose_sensors[k]));
-  files.Commit();
+  own.Commit();
 }
 
-void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu) {
-  OutputFiles files;
+void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu,
+                 OutputFiles* outputs) {
+  OutputFiles own, &files = outputs ? *outputs : own;
   const ImuData& imu = data.imus[0];
   files.Write(prefix + ".poses.txt", PoseTable(false, data.poses));
   for (size_t k = 0; k < data.pose_sensors.size(); ++k)
@@ -325,7 +326,7 @@ void WriteTables(const std::string& prefix, const SessionData& data, bool split_
   } else {
     files.Write(prefix + ".imu.csv", ImuTable(false, imu));
   }
-  files.Commit();
+  own.Commit();
 }
 
 std::string TruthYaml(const SimulatorOptions& options) {

@@ -5,6 +5,7 @@
 
 #include "imu_pose_calib/core/base/types.h"
 #include "imu_pose_calib/ros/io/bag_file.h"
+#include "imu_pose_calib/ros/io/output_files.h"
 #include "imu_pose_calib/simulation/simulator.h"
 
 namespace imu_pose_calib {
@@ -38,16 +39,18 @@ void WriteBag(const std::string& path, const SessionData& data, const BagFormat&
 
 // Both write stamps and values so that ReadText() gets back the very same data, and throw
 // InputError when a file cannot be written or when one file is to hold gyroscope and accelerometer
-// samples of different stamps.
+// samples of different stamps. `outputs`: of a run with more files, which commits them.
 
 /// ASL dataset (EuRoC) of poses and IMU: folder/mocap0/data.csv and folder/imu0/data.csv; pose
 /// sensors in pose_sensor0 and so on.
-void WriteAslFolder(const std::string& folder, const SessionData& data);
+void WriteAslFolder(const std::string& folder, const SessionData& data,
+                    OutputFiles* outputs = nullptr);
 
 /// Tables without any folder: prefix.poses.txt (TUM) and prefix.imu.csv, or for a split IMU
 /// prefix.gyro.csv and prefix.accel.csv; pose sensors prefix.pose_sensor.txt, .pose_sensor1.txt and
 /// so on.
-void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu);
+void WriteTables(const std::string& prefix, const SessionData& data, bool split_imu,
+                 OutputFiles* outputs = nullptr);
 
 /// Truth of a simulated bag as YAML: rotation [x, y, z, w] and translation of T_marker_imu,
 /// time_shift, accel_delay, gravity, gyro_bias, accel_bias; of pose sensors T_marker_sensor and
