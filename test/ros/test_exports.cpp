@@ -322,6 +322,11 @@ TEST(Frames, NamesAreEscapedInXml) {
   const std::vector<Link> links = UrdfLinks(FileOf(stored, "urdf", "urdf"));
   ASSERT_EQ(links.size(), 1u);
   EXPECT_EQ(links[0].parent, "a<b>&\"c\"--d");
+  const std::string arguments = " 'a<b>&\"c\"--d' imu_0_link";  // of a shell
+  const Element tf = Xml(FileOf(stored, "tf", "tf.launch"), "launch").Child("node");
+  EXPECT_TRUE(Contains(tf["args"], arguments)) << tf["args"];
+  const Element ros2 = Xml(FileOf(stored, "ros2", "ros2.launch.xml"), "launch").Child("node");
+  EXPECT_TRUE(Contains(ros2["args"], "--frame-id 'a<b>&\"c\"--d' --child")) << ros2["args"];
 }
 
 // --- Files ---

@@ -210,6 +210,10 @@ TEST(Summary, OffersACommandForTf) {
       "  -1.050100 -0.203400 -0.300000 -0.50000000 0.50000000 -0.50000000 0.50000000 \\\n"
       "  rig imu_link\n";
   EXPECT_TRUE(Contains(text, command)) << text;
+  RecordingInfo info = MakeInfo();
+  info.marker_frame = "Rig's Body";
+  info.imus[0].imu_frame = "a-b/c.d:e_f0";
+  EXPECT_TRUE(Contains(Summary(MakeResult(), {info}), "\n  'Rig'\\''s Body' a-b/c.d:e_f0\n"));
 }
 
 /// As if there were no line breaks.

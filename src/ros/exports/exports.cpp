@@ -148,7 +148,11 @@ Values LinkValues(size_t n, const std::string& parent, const std::string& child,
   const auto xml = [](const std::string& text) {
     return Escaped(text, {{"&", "&amp;"}, {"<", "&lt;"}, {">", "&gt;"}, {"\"", "&quot;"}});
   };
-  Values values = {{"n", std::to_string(n)}, {"parent", xml(parent)}, {"child", xml(child)}};
+  Values values = {{"n", std::to_string(n)},
+                   {"parent", xml(parent)},
+                   {"child", xml(child)},
+                   {"parent word", xml(ShellWord(parent))},
+                   {"child word", xml(ShellWord(child))}};
   Put("PC", T_PC, &values);
   Put("rpy_PC", RollPitchYaw(T_PC.q), &values);
   return values;
@@ -413,7 +417,7 @@ Values ImuValues(const StoredResult& stored, size_t imu, const Template& file,
 }
 
 /// Whether a file is of the frames on the body, of sensors of any kind.
-bool IsOfFrames(const Template& file) { return boost::contains(file.text, "{child}"); }
+bool IsOfFrames(const Template& file) { return boost::contains(file.text, "{child"); }
 
 /// Whether a pose sensor plays a part in a file.
 bool HasPlayer(const Template& file) {

@@ -1,11 +1,14 @@
 #include "imu_pose_calib/ros/io/text.h"
 
 #include <algorithm>
+#include <boost/algorithm/string/replace.hpp>
 #include <boost/locale/utf.hpp>
+#include <cctype>
 #include <cmath>
 #include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <sstream>
 
@@ -71,6 +74,13 @@ std::string Printable(const std::string& text) {
     }
   }
   return printable;
+}
+
+std::string ShellWord(const std::string& text) {
+  const bool is_plain = std::all_of(text.begin(), text.end(), [](unsigned char c) {
+    return c < 0x80 && (std::isalnum(c) || std::strchr("_-/.:", c));
+  });
+  return is_plain ? text : "'" + boost::replace_all_copy(text, "'", "'\\''") + "'";
 }
 
 std::string YamlNumber(double value) {

@@ -298,7 +298,7 @@ std::string StaticTransforms(const Calibration& result, const RecordingInfo& inf
     text += "\nrosrun tf2_ros static_transform_publisher \\\n" +
             Format("  %.6f %.6f %.6f %.8f %.8f %.8f %.8f \\\n", T.p.x(), T.p.y(), T.p.z(), T.q.x(),
                    T.q.y(), T.q.z(), T.q.w()) +
-            "  " + info.marker_frame + " " + name + "\n";
+            "  " + ShellWord(info.marker_frame) + " " + ShellWord(name) + "\n";
   }
   return text;
 }

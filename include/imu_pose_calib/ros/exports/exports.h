@@ -4,12 +4,12 @@
 // are the comment, which stands where the rest says {comment}; in it, {head} and {axes} are the
 // files of these names. Other names in braces are values that exports.cpp computes from the result;
 // what stands between {each imu} and {end} is there for each IMU, a file whose name has imuN too;
-// with {child} in it, for each frame on the body, pose sensors too. A line with a value that there
-// is not is left out. Frames of values: marker M, imu I, pose sensor S that plays a camera or
-// lidar, without one the marker, accelerometer's axes A. Of MI, IM, I0I, SI, IS, SA, AM, AA0, BM
-// there are T_, R_, q_ and p_: {T_IM} is a list, {T_IM rows} one of each row, {T_IM block} one on
-// several lines, {T_IM words} without brackets, {p_IM.0} a number. {accel_...} and {gyro_...} need
-// noise and rates in the result.
+// with {child} or {child word}, quoted for a shell, in it, for each frame on the body, pose sensors
+// too. A line with a value that there is not is left out. Frames of values: marker M, imu I, pose
+// sensor S that plays a camera or lidar, without one the marker, accelerometer's axes A. Of MI, IM,
+// I0I, SI, IS, SA, AM, AA0, BM there are T_, R_, q_ and p_: {T_IM} is a list, {T_IM rows} one of
+// each row, {T_IM block} one on several lines, {T_IM words} without brackets, {p_IM.0} a number.
+// {accel_...} and {gyro_...} need noise and rates in the result.
 
 #include <Eigen/Geometry>
 #include <optional>

@@ -33,6 +33,9 @@ inline double Seconds(int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 /// are written as \\x1b. What is printable stays as it is, so that doing it twice does no harm.
 std::string Printable(const std::string& text);
 
+/// `text` as one word of a shell: quoted unless it is of letters, digits and _-/.: only.
+std::string ShellWord(const std::string& text);
+
 /// Shortest text that reads back as `value` and that YAML 1.1 and 1.2 both take for a float.
 std::string YamlNumber(double value);
 
