@@ -212,6 +212,16 @@ TEST(CalibrateNode, ReadsTfFromSeveralBags) {
   EXPECT_EQ(YAML::LoadFile(output)["data"]["bag"].as<std::string>(), bags);
 }
 
+TEST(EvaluateLaunch, TakesPathsWithBlanks) {
+  const std::string path = Directory() + "/evaluate.txt";
+  const std::string command = "roslaunch imu_pose_calib evaluate.launch out:='" + Directory() +
+                              "/a b' bag:='/no such.bag' experiments:=pose_noize > '" + path +
+                              "' 2>&1";
+  ASSERT_NE(std::system(command.c_str()), -1);
+  const std::string text = ReadText(path);
+  EXPECT_TRUE(Contains(text, "did you mean 'pose_noise'?")) << text;
+}
+
 TEST(AggregateCloudsLaunch, OffersBothMaps) {
   for (const char* topic : {"/aggregate_clouds/map", "/aggregate_clouds/uncalibrated"}) {
     const auto map =
