@@ -389,6 +389,12 @@ TEST_F(CalibrateBagTest, RefusesWhatCannotBeAsItIsInOneLine) {
   }
 }
 
+TEST_F(CalibrateBagTest, RefusesABagBehindALoopOfLinks) {
+  std::filesystem::create_symlink("x.bag", Path("x.bag"));
+  for (const char* arguments : {"x.bag", "x.bag --check"})
+    ExpectFailure(arguments, 1, {"bag 'x.bag' cannot be read: Too many levels of symbolic links"});
+}
+
 // --- calibrate_bag --check ---
 
 TEST_F(CalibrateBagTest, ChecksABagWithoutCalibrating) {

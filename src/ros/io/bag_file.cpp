@@ -253,7 +253,10 @@ std::string FileNames(const std::vector<std::string>& paths) {
 void CheckBagsExist(const std::vector<std::string>& paths) {
   std::set<fs::path> known;
   for (const std::string& path : paths) {
-    if (!fs::exists(path)) Reject("bag '", path, "' does not exist");
+    std::error_code error;
+    const bool exists = fs::exists(path, error);
+    if (error) Reject("bag '", path, "' cannot be read: ", error.message());
+    if (!exists) Reject("bag '", path, "' does not exist");
     if (!known.insert(fs::canonical(path)).second) Reject("bag '", path, "' is given twice");
   }
 }

@@ -36,7 +36,8 @@ std::vector<std::string> SplitNames(const std::string& text) {
 
 std::vector<std::string> SplitPaths(const std::string& text) {
   if (text.empty()) return {};
-  return std::filesystem::exists(text) ? std::vector<std::string>{text} : SplitNames(text);
+  std::error_code ignored;  // also of several that are too long for one
+  return std::filesystem::exists(text, ignored) ? std::vector<std::string>{text} : SplitNames(text);
 }
 
 std::pair<std::string, std::string> SplitBody(const std::string& name) {

@@ -193,8 +193,7 @@ void KeepInputs(const std::vector<OfflineRequest>& sessions, OutputFiles* output
 void RunOffline(const Progress& progress, OfflineResult* offline) {
   const OfflineRequest& given = offline->request;
   const std::vector<std::string> exports = ParseExports(given.exports);
-  for (const std::string& path : given.paths)
-    if (!std::filesystem::exists(path)) Reject("bag '", path, "' does not exist");
+  CheckBagsExist(given.paths);
   const std::vector<OfflineRequest> requests = SplitSessions(given);
   offline->options = Options(requests.front());
   if (!given.trajectory.path.empty()) offline->options.max_factor_mb = kUnbounded;
