@@ -10,9 +10,9 @@ namespace imu_pose_calib {
 namespace {
 
 constexpr double kSpacing = 0.4;  // [length scales] between bumps: kernel error 2 exp(-31)
-constexpr int kHalfSupport = 12;
-constexpr int kSupport = 2 * kHalfSupport;  // bumps around one instant: the others are below 1e-10
-constexpr int kTile = 24;
+constexpr int kHalfSupport = 13;
+constexpr int kSupport = 2 * kHalfSupport;  // bumps around one instant: the others are below 2e-12
+constexpr int kTile = 26;
 static_assert(kTile >= kSupport, "a bump must not reach beyond the next tile");
 
 double Spacing(const BumpGrid& grid) { return kSpacing * grid.lengthscale; }
@@ -39,7 +39,7 @@ struct BumpValues {
 
   BumpValues(const BumpGrid& grid, int first_bump, double t) {
     // exp(-(z - j d)^2) = exp(-z^2) exp(2 z d)^j exp(-(j d)^2), j counted from the middle: two
-    // calls of exp instead of 24, in the innermost loop of every solve.
+    // calls of exp instead of 26, in the innermost loop of every solve.
     static const BumpArray kSteps =
         BumpArray::LinSpaced(-kHalfSupport, kSupport - 1.0 - kHalfSupport);
     static const BumpArray kGaussian = (-(kSpacing * kSteps).square()).exp();
