@@ -128,8 +128,8 @@ TEST_F(Live, CalibratesTwoImusTogether) {
   }
 }
 
-/// The sample at eight times real time. Playing waits for slow solves, and nothing gets lost: so the
-/// last solve has the data of the offline one.
+/// The sample at eight times real time. Playing waits for slow solves, and nothing gets lost: so
+/// the last solve has the data of the offline one.
 TEST_F(Live, AgreesWithOfflineOnTheSample) {
   const std::string sample = IMU_POSE_CALIB_SOURCE_DIR "/data/estimator_own_clocks.bag";
   OfflineRequest request;
