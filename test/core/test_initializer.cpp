@@ -221,6 +221,16 @@ TEST(FindTimeShifts, OffersNoOverlapBelowTheMinimum) {
   EXPECT_TRUE(find(16.0).empty());
 }
 
+TEST(FindTimeShifts, ASlowGyroscopeOverlapsAsLongAsAFastOne) {
+  SimulatorOptions options = Recording(8.0, 19);
+  options.gyro_rate_hz = 40.0;
+  const Fitted fitted(Simulate(options), {});
+  const auto shifts =
+      FindTimeShifts(fitted.trajectory, fitted.data.imus[0].gyro, 5.0, std::nullopt, 4);
+  ASSERT_FALSE(shifts.empty());
+  EXPECT_NEAR(shifts[0], TrueShift(fitted.data, options), 2e-3);
+}
+
 TEST(AlignRates, RecoversRotationAndBiasAtTheTrueShift) {
   SimulatorOptions options = Recording(15.0, 18);
   options.gyro_bias << 0.1, -0.05, 0.2;
