@@ -64,7 +64,8 @@ void CheckRig(const CalibrationOptions& options, const std::vector<SessionData>&
     for (size_t a = 0; a < b; ++a)
       if (AreShared(sessions[a].poses, sessions[b].poses, &PoseSample::p_WM))
         throw InputError(InSession(b, sessions.size()) + "poses of session " +
-                         std::to_string(a + 1) + " once more: give each recording once");
+                         std::to_string(a + 1) +
+                         " once more: give each recording once, bags of one with one_recording");
 }
 
 void ReportData(const DataCheck& check, SessionCalibration* session) {
