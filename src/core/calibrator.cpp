@@ -328,7 +328,8 @@ Calibration Calibrate(const CalibrationOptions& options, std::vector<SessionData
     if (!session) return result;
     sessions.push_back(std::move(*session));
     progress(preparation, 0);
-    // Initial values are those of the first IMU, these two of the first session.
+    // Initial values are those of the first IMU, time shift and the direction of gravity those of
+    // the first session.
     of_session.initial_time_shift.reset();
     of_session.gravity_magnitude = options.GravityMagnitude();
     of_session.latitude.reset();

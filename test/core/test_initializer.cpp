@@ -219,6 +219,11 @@ TEST(FindTimeShifts, OffersNoOverlapBelowTheMinimum) {
   for (const double shift : find(5.0)) largest = std::max(largest, std::abs(shift));
   EXPECT_GT(largest, 3.1);
   EXPECT_TRUE(find(16.0).empty());
+  // A pause is not in common.
+  std::vector<TimedSample> paused = fitted.data.imus[0].gyro;
+  paused.push_back(paused.back());
+  paused.back().t += 500.0;
+  EXPECT_TRUE(FindTimeShifts(fitted.trajectory, paused, 16.0, std::nullopt, 50).empty());
 }
 
 TEST(FindTimeShifts, ASlowGyroscopeOverlapsAsLongAsAFastOne) {

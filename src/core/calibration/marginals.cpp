@@ -279,8 +279,9 @@ void ReducedProblem::AddPriors(Part* part) const {
   const std::vector<int>& windows = part->windows;
   for (const Prior& prior : priors_) {
     if (std::binary_search(windows.begin(), windows.end(), prior.window)) continue;
-    const Eigen::VectorXd told = part->reduced.H.diagonal();
-    if (Gather(told, prior.columns, {0}).isZero(0.0)) continue;  // another session's
+    const auto is_told = [&H = part->reduced.H](int column) { return H(column, column) != 0.0; };
+    if (std::none_of(prior.columns.begin(), prior.columns.end(), is_told))
+      continue;  // another session's
     prior.AddTo(&part->reduced.H);
     for (const int w : windows)
       for (size_t k = 0; k < prior.columns.size(); ++k)

@@ -8,6 +8,7 @@
 #include <unsupported/Eigen/FFT>
 #include <utility>
 
+#include "imu_pose_calib/core/base/median.h"
 #include "imu_pose_calib/core/base/parallel.h"
 #include "imu_pose_calib/core/base/peak.h"
 #include "imu_pose_calib/core/base/text.h"
@@ -133,22 +134,22 @@ std::vector<double> FindTimeShifts(const PoseTrajectory& trajectory,
   const double gyro_begin = gyro.front().t;
   Signal imu(bins(gyro.back().t - gyro_begin));
   double early = 0.0;  // of the samples before the middles of their bins, in the mean
+  std::vector<double> stamps;
   for (const TimedSample& s : gyro) {
     const auto bin = static_cast<size_t>((s.t - gyro_begin) / kRateBin);
     imu.Add(bin, s.value.norm());
     early += (static_cast<double>(bin) + 0.5) * kRateBin - (s.t - gyro_begin);
+    stamps.push_back(s.t);
   }
   early /= static_cast<double>(gyro.size());
-  // [s] for which a bin with samples stands.
-  const double own =
-      std::max(kRateBin, (gyro.back().t - gyro_begin) / static_cast<double>(gyro.size() - 1));
+  const double per_bin = std::max(kRateBin, MedianStep(stamps));  // [s] that one with samples has
   imu.value /= imu.weight.max(1.0);  // the mean of the samples in a bin
   imu.weight = imu.weight.min(1.0);
 
   const MaskedCorrelation correlation(marker, imu, threads);
   const auto shift = [&](double lag) { return lag * kRateBin + early - gyro_begin; };
   const auto score = [&](ptrdiff_t lag) {
-    if (correlation.Count(lag) * own < min_overlap_s) return 0.0;
+    if (correlation.Count(lag) * per_bin < min_overlap_s) return 0.0;
     if (guess && std::abs(shift(static_cast<double>(lag)) - *guess) > kGuessWindow) return 0.0;
     return Evidence(correlation.At(lag), correlation.Count(lag));
   };

@@ -173,8 +173,8 @@ struct CalibrationOptions {
 
   // --- Uncertainty and verdict (S5) ---
 
-  /// Length of the time blocks of the cluster-robust covariance [s]. 0: a 24th of the recording, at
-  /// least 2 s.
+  /// Length of the time blocks of the cluster-robust covariance [s], at least a thousandth of the
+  /// recording. 0: a 24th of it, at least 2 s.
   double covariance_block_s = 0.0;
   /// The verdict is `weak` when the largest sigma exceeds one of these, and `degenerate` beyond ten
   /// times one of these.
