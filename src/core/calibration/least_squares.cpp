@@ -34,8 +34,6 @@ constexpr double kReach = 0.75;
 constexpr double kRounding = 1e-6;
 /// Of them, at most: memory goes with their square.
 constexpr int kMostWindows = 1000;
-/// Of them, that a step has, others being joined: enough for all cores.
-constexpr int kStepWindows = 8;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a
 /// share kLeastGain of what it should (Levenberg-Marquardt), at first; and share of the cost that
@@ -347,12 +345,8 @@ std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
 
 StepSummary LeastSquares::Step() {
   const Ordering order = Order();
-  std::vector<Equation> joined = equations;
-  const int windows_of_step = std::max(1, windows.count() / kStepWindows);
-  for (Equation& equation : joined) equation.window /= windows_of_step;
-  const int count = (windows.count() - 1) / windows_of_step + 1;
-  const NormalEquations normal(problem, order.border, order.inner, std::move(joined),
-                               static_cast<size_t>(count));
+  const NormalEquations normal(problem, order.border, order.inner, equations,
+                               static_cast<size_t>(windows.count()));
   double damping = 0.0, growth = 1.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
     const GaussNewtonStep step =

@@ -233,6 +233,7 @@ double Seconds(int64_t t_ns, int64_t epoch_ns) {
 
 std::vector<TimedSample> ToSeconds(const std::vector<ImuSample>& samples, int64_t epoch_ns) {
   std::vector<TimedSample> timed;
+  timed.reserve(samples.size());
   for (const ImuSample& s : samples)
     timed.push_back({Seconds(s.t_ns, epoch_ns), s.value, {0, 0, 0}});
   return timed;
@@ -241,6 +242,7 @@ std::vector<TimedSample> ToSeconds(const std::vector<ImuSample>& samples, int64_
 /// Unit quaternions, neighbours in the same hemisphere.
 std::vector<TimedPose> ToSeconds(const std::vector<PoseSample>& samples, int64_t epoch_ns) {
   std::vector<TimedPose> timed;
+  timed.reserve(samples.size());
   for (const PoseSample& s : samples) {
     Eigen::Quaterniond q = s.q_WM.normalized();
     if (!timed.empty() && q.dot(timed.back().q_WM) < 0.0) q.coeffs() *= -1.0;
