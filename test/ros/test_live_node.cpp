@@ -121,6 +121,26 @@ TEST(LiveNode, TakesACovarianceOfMinusOneForASensorThatIsNotThere) {
   EXPECT_TRUE(Contains(node.status.message, "/absent/imu gives no accelerometer")) << node.status;
 }
 
+/// Not only of one that has never brought anything: of one that stopped, too, and after a reset.
+TEST(LiveNode, SaysWhyATopicIsSilent) {
+  Rig rig("silent");
+  Node node("silent", rig.parameters);
+  rig.Publish(Simulate(Handheld(2.0)));
+  const auto says = [&](const std::string& text) { return Contains(node.status.message, text); };
+  ASSERT_TRUE(WaitFor([&] { return says("no poses for"); }, kShort)) << node.status;
+  EXPECT_TRUE(WaitFor(
+      [&] { return says("/silent/pose (geometry_msgs/PoseStamped, publishers connected: 1)"); },
+      kShort))
+      << node.status;
+
+  EXPECT_TRUE(node.Call("reset").success);
+  EXPECT_TRUE(node.WaitForPhase(CalibrationStatus::WAITING)) << node.status;
+  EXPECT_TRUE(WaitFor(
+      [&] { return says("/silent/imu (sensor_msgs/Imu, publishers connected: 1): no message for"); },
+      kShort))
+      << node.status;
+}
+
 /// Latched, it comes only once: before the frame of the IMU is known.
 TEST(LiveNode, NoticesAnotherParentThatCameBeforeTheImu) {
   Rig rig("early");

@@ -5,6 +5,7 @@
 #include <sys/stat.h>
 #include <yaml-cpp/yaml.h>
 
+#include <chrono>
 #include <cstring>
 #include <map>
 #include <regex>
@@ -271,13 +272,16 @@ TEST_F(OutputsTest, APipeIsRefusedAtOnce) {
 
 /// Under `timeout`, which sends the signal after that many seconds.
 TEST_F(OutputsTest, InterruptsTouchNothingOrComeLate) {
+  const auto start = std::chrono::steady_clock::now();
   CalibrateAll();
+  const std::chrono::duration<double> whole = std::chrono::steady_clock::now() - start;
   std::filesystem::create_directory(Path("tmp"));
   size_t interrupted = 0;
   auto before = Contents(dir_);
-  for (int moment = 0; moment < 24; ++moment) {
+  constexpr int kMoments = 18;
+  for (int moment = 0; moment < kMoments; ++moment) {
     const std::string signal = moment % 2 == 0 ? "INT" : "TERM";
-    const std::string delay = std::to_string(0.02 + 0.09 * moment);
+    const std::string delay = std::to_string(0.02 + 1.1 * whole.count() * moment / kMoments);
     SCOPED_TRACE(signal + " after " + delay + " s");
     const std::string old_id = RunId();
     const Outcome outcome =

@@ -40,8 +40,8 @@ constexpr double kTickPeriod = 0.1;  // [s]
 constexpr int kTicksPerStatus = 5;
 /// How far apart links of tf with the same stamp may arrive [s].
 constexpr double kTfCache = 10.0;
-/// After this the master counts as away [s].
-constexpr double kMasterTimeout = 2.0;
+/// After this the master counts as away [s], and a topic as silent.
+constexpr double kMasterTimeout = 2.0, kSilence = 1.0;
 
 /// Types without their packages.
 std::string ShortNames(std::vector<std::string> types) {
@@ -187,8 +187,8 @@ class LiveInput {
     return boost::join(notes, "; ");
   }
 
-  /// Has the topics looked for that have brought nothing yet, and says what was the matter with
-  /// them last time.
+  /// Has the topics looked for that bring nothing, and says what was the matter with them last
+  /// time.
   std::string Look() {
     const ros::SteadyTime now = ros::SteadyTime::now();
     const bool hangs = IsLooking() && (now - look_start_).toSec() > kMasterTimeout;
@@ -203,7 +203,7 @@ class LiveInput {
     for (const Topic& topic : topics_)
       if (!topic.problem.empty())
         problems.push_back(*topic.name + " " + topic.problem);
-      else if (!topic.has_data && !topic.state.empty() && !is_away)
+      else if (topic.IsSilent() && !topic.state.empty() && !is_away)
         problems.push_back(topic.state);
     for (size_t k = 0; k < poses_.size(); ++k)
       if (poses_[k].chain && !live_->HasPoses(k))
@@ -230,10 +230,12 @@ class LiveInput {
     bool is_named = !name->empty();
     bool has_data = false;
     std::string problem = {};         ///< of the last message
-    std::string state = {};           ///< why nothing has come in, as the last look found
+    std::string state = {};           ///< why nothing comes in, as the last look found
     ros::Subscriber subscriber = {};  ///< of the thread that looks
-    ros::SteadyTime start = ros::SteadyTime::now();
+    ros::SteadyTime since = ros::SteadyTime::now();  ///< of the last message, or the start
 
+    double Waited() const { return (ros::SteadyTime::now() - since).toSec(); }
+    bool IsSilent() const { return !has_data || Waited() > kSilence; }
     bool Accepts(const std::string& type) const {
       return std::find(types.begin(), types.end(), type) != types.end();
     }
@@ -247,18 +249,18 @@ class LiveInput {
         if (Accepts(info.datatype) && std::count(others.begin(), others.end(), info.name) == 0 &&
             !boost::algorithm::ends_with(info.name, "/imu_pose"))  // of nodes of this package
           found.push_back(info.name);
-      if (!is_named && found.size() != 1) {
+      const bool is_known = is_named || has_data;
+      if (!is_known && found.size() != 1) {
         state = found.empty() ? "no topic of type " + all + " is published"
                               : "several topics of type " + all + ": " + boost::join(found, ", ") +
                                     "; choose with " + parameter;
         return false;
       }
-      if (!is_named) *name = found.front();
+      if (!is_known) *name = found.front();
       const auto info =
           std::find_if(published.begin(), published.end(),
                        [&](const auto& candidate) { return candidate.name == *name; });
-      const int seconds = static_cast<int>((ros::SteadyTime::now() - start).toSec());
-      const std::string waited = " for " + std::to_string(seconds) + " s";
+      const std::string waited = Format(" for %.0f s", std::floor(Waited()));
       if (info == published.end())
         state = *name + " (" + ShortNames(types) + "): nobody has published it" + waited;
       else if (!Accepts(info->datatype))
@@ -322,13 +324,13 @@ class LiveInput {
         ros::VoidConstPtr(), ros::TransportHints().tcpNoDelay());
   }
 
-  /// Looks for the topics that have brought nothing; false when the master does not answer.
+  /// Looks for the topics that bring nothing; false when the master does not answer.
   bool AskMaster() {
     ros::master::V_TopicInfo published;
     if (!ros::master::getTopics(published)) return false;
     for (Topic& topic : topics_) {
       std::unique_lock<std::mutex> lock(*mutex_);
-      if (topic.has_data || !topic.Look(published, SplitPaths(request_.pose_sensors))) continue;
+      if (!topic.IsSilent() || !topic.Look(published, SplitPaths(request_.pose_sensors))) continue;
       lock.unlock();  // the master may be away by now
       Subscribe(&topic);
     }
@@ -354,6 +356,8 @@ class LiveInput {
     try {
       topic->problem = topic->read(message);
       topic->has_data = true;
+      topic->since = ros::SteadyTime::now();
+      topic->state.clear();
     } catch (const ros::Exception& error) {
       topic->problem =
           "has another definition of " + type + " than this computer (" + error.what() + ")";
@@ -578,7 +582,8 @@ class LiveNode {
     if (!save_error_.empty()) message += "; " + save_error_;
     if (const std::string dropped = input_.Dropped(); !dropped.empty()) message += "; " + dropped;
     const bool is_waiting = status_.phase == CalibrationStatus::WAITING;
-    if (is_waiting || (live_.LacksSensor() && !live_.IsFrozen())) {
+    if (is_waiting || status_.phase == CalibrationStatus::DEGRADED ||
+        (live_.LacksSensor() && !live_.IsFrozen())) {
       if (ticks_ % kTicksPerStatus == 0 || is_waiting != was_waiting) waiting_for_ = input_.Look();
       if (!waiting_for_.empty())
         message = is_waiting ? waiting_for_ : message + "; " + waiting_for_;
