@@ -179,8 +179,12 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   PreparedSession limited = session;
   for (ConditionedImu& imu : limited.data.imus) {
     if (!imu.IsPresent()) continue;
-    Smooth(imu.gyro_report.rate_hz, cutoff, threads, &imu.gyro);
-    Smooth(imu.accel_report.rate_hz, cutoff, threads, &imu.accel);
+    InParallel(threads, 2, [&](size_t is_accel) {
+      if (is_accel)
+        Smooth(imu.accel_report.rate_hz, cutoff, threads, &imu.accel);
+      else
+        Smooth(imu.gyro_report.rate_hz, cutoff, threads, &imu.gyro);
+    });
   }
   const double rate_hz = session.data.pose_report.rate_hz;
   GpHyperparameters position = session.trajectory->position_hyperparameters();
@@ -190,7 +194,9 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   if (is_position_lower || is_rotation_lower)
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads, false);
-  for (const bool is_rotation : {false, true}) SmoothErrors(is_rotation, cutoff, threads, &limited);
+  InParallel(threads, 2, [&](size_t is_rotation) {
+    SmoothErrors(is_rotation, cutoff, threads, &limited);
+  });
   return limited;
 }
 

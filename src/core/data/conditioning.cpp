@@ -197,10 +197,13 @@ void RemoveSpikes(std::vector<ImuSample>* spiky, StreamReport* report) {
     const size_t end = std::min(i + kSpikeReach + 1, samples.size());
     const Eigen::Vector3d middle =
         MedianOfEach(begin, end, [&](size_t k) { return samples[k].value; });
-    std::vector<double> distances;
-    for (size_t k = begin; k < end; ++k) distances.push_back((samples[k].value - middle).norm());
-    const double bound = std::max(least, kSpikeSpreads * Median(distances));
-    if (distances[i - begin] <= bound) spiky->push_back(samples[i]);
+    const double distance = (samples[i].value - middle).norm();
+    if (distance > least) {
+      std::vector<double> distances;
+      for (size_t k = begin; k < end; ++k) distances.push_back((samples[k].value - middle).norm());
+      if (distance > kSpikeSpreads * Median(std::move(distances))) continue;
+    }
+    spiky->push_back(samples[i]);
   }
   report->outlier = samples.size() - spiky->size();
 }

@@ -15,8 +15,7 @@ namespace {
 constexpr double kMedianOfChi3 = 1.5382;  // median norm of a standard normal 3-vector
 constexpr int kLikelihoodChunks = 16;
 constexpr size_t kChunkPoses = 250;
-constexpr int kMaxRounds = 6;
-constexpr int kSpikeRounds = 3;          // until none is left, few poses are left of some streams
+constexpr int kRounds = 3;               // until none is left, few poses are left of some streams
 constexpr double kSpikeThreshold = 2.0;  // times the outlier threshold
 constexpr double kSpikeRadius = 10.5;    // poses on either side
 
@@ -159,7 +158,7 @@ std::vector<Eigen::Vector2d> DistanceFromNeighbours(const std::vector<TimedPose>
 /// Removes single poses far off their neighbours before a likelihood sees them: they would make it
 /// believe in noise, or in motion at the rate of the samples, and cost it a long search.
 void RemoveSpikes(double threshold, ConditionedData* data) {
-  for (int round = 0; round < kSpikeRounds; ++round) {
+  for (int round = 0; round < kRounds; ++round) {
     const std::vector<Eigen::Vector2d> distances =
         DistanceFromNeighbours(data->poses, data->segments);
     std::vector<bool> spikes = FindOutliers(distances, data->poses, kSpikeThreshold * threshold,
@@ -289,7 +288,7 @@ PoseTrajectory FitTrajectory(const CalibrationOptions& options, ConditionedData*
         FindOutliers(residuals, data->poses, options.outlier_threshold,
                      std::min(position.lengthscale_s, rotation.lengthscale_s));
     const bool has_none = std::find(outliers.begin(), outliers.end(), true) == outliers.end();
-    if (has_none || round == kMaxRounds) {
+    if (has_none || round == kRounds) {
       CheckNoiseScales(residuals, &data->poses);
       return trajectory;
     }
