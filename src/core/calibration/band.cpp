@@ -194,9 +194,8 @@ PreparedSession LimitBand(const PreparedSession& session, double cutoff, int thr
   if (is_position_lower || is_rotation_lower)
     limited.trajectory = std::make_shared<const PoseTrajectory>(
         session.data.poses, session.data.segments, position, rotation, threads, false);
-  InParallel(threads, 2, [&](size_t is_rotation) {
-    SmoothErrors(is_rotation, cutoff, threads, &limited);
-  });
+  InParallel(threads, 2,
+             [&](size_t is_rotation) { SmoothErrors(is_rotation, cutoff, threads, &limited); });
   return limited;
 }
 
