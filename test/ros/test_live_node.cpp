@@ -136,7 +136,9 @@ TEST(LiveNode, SaysWhyATopicIsSilent) {
   EXPECT_TRUE(node.Call("reset").success);
   EXPECT_TRUE(node.WaitForPhase(CalibrationStatus::WAITING)) << node.status;
   EXPECT_TRUE(WaitFor(
-      [&] { return says("/silent/imu (sensor_msgs/Imu, publishers connected: 1): no message for"); },
+      [&] {
+        return says("/silent/imu (sensor_msgs/Imu, publishers connected: 1): no message for");
+      },
       kShort))
       << node.status;
 }
