@@ -152,6 +152,7 @@ def main():
     parser.add_argument("--group", action="append", default=[])
     options = parser.parse_args()
     devel = build_changed(options.folder.absolute(), "ablated.h", HEADER, switch)
+    subprocess.run(["make", "-C", str(devel.parent / "build"), "reality"], check=True)
     groups = [g.partition("=") for g in options.group]
     print("| without | | ok | wrong and ok |" +
           "".join(" %s: rms p | rms sigma |" % kind for kind in ("mixtures", "plain", "effects")) +

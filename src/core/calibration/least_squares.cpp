@@ -32,7 +32,7 @@ constexpr size_t kTouched = 20;  // one span of so many is left out, that of the
 /// miss none of them.
 constexpr double kReach = 0.75;
 constexpr double kRounding = 1e-6;
-/// Of them, at most: memory goes with their square.
+/// Windows, at most: memory goes with their square.
 constexpr int kMostWindows = 1000;
 
 /// Share of the diagonal of H that is added to it after a step that does not reduce the cost by a

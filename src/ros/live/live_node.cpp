@@ -13,6 +13,7 @@
 #include <algorithm>
 #include <boost/algorithm/string/join.hpp>
 #include <boost/algorithm/string/predicate.hpp>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <deque>
