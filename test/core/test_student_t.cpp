@@ -46,6 +46,20 @@ TEST(StudentT, FindsScaleAndTails) {
   }
 }
 
+/// A mean of samples with noise of their own, which makes their leverages: one's weight changes.
+TEST(StudentT, IsWhatTheResidualWouldBeAtWeightOne) {
+  const Eigen::Vector4d y(0.3, -1.2, 0.8, 2.5), information(1.0, 4.0, 0.5, 2.0);
+  const auto residual = [&](double weight) {
+    Eigen::Vector4d own = information;
+    own[3] *= weight;
+    return y[3] - own.dot(y) / own.sum();
+  };
+  const double leverage = information[3] / information.sum();
+  for (const double weight : {0.0, 0.01, 0.3, 2.0})
+    EXPECT_NEAR(residual(weight) * ToUsualWeight(leverage, weight), residual(1.0), 1e-14) << weight;
+  EXPECT_GT(std::abs(residual(0.01) - residual(1.0)), 0.1);
+}
+
 /// Were they of a grid, weights would jump where one value takes over from the next.
 TEST(StudentT, DegreesOfFreedomFollowTheTails) {
   const std::vector<Eigen::Vector3d> normal = Draw(1.0, 0, 5000);

@@ -21,6 +21,8 @@ constexpr int kRounds = 300;  // of the likelihood's ascent
 /// stays regular; and beyond what is an error.
 constexpr double kLeastSlowError = 1e-6, kMostSlowError = 0.1;
 constexpr double kLeastShare = 0.1;  // of the way to the noise that is found
+/// Share of the way to an IMU's weights that are found, which neighbours act on.
+constexpr double kShareOfWeights = 0.75;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 bool IsLinear(Quantity quantity) {
@@ -56,7 +58,8 @@ Densities JointDensities(const LeastSquares& joint, size_t session) {
   return S;
 }
 
-/// Mean squared residual of the samples within `reach` [s] of each, which are in order of time.
+/// Mean squared residual at the usual weight of the samples within `reach` [s] of each, which are
+/// in order of time.
 std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
   const std::vector<ProblemSample>& samples = sensor.samples;
   std::vector<double> means;
@@ -64,9 +67,9 @@ std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
   double sum = 0.0;
   for (const ProblemSample& sample : samples) {
     for (; end < samples.size() && samples[end].t <= sample.t + reach; ++end)
-      sum += sensor.residuals[end].squaredNorm();
+      sum += sensor.at_usual_weight[end].squaredNorm();
     for (; samples[begin].t < sample.t - reach; ++begin)
-      sum -= sensor.residuals[begin].squaredNorm();
+      sum -= sensor.at_usual_weight[begin].squaredNorm();
     means.push_back(sum / static_cast<double>(end - begin));
   }
   return means;
@@ -226,13 +229,15 @@ void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSpline
     const SensorBlocks& sensor = joint.sensors[k];
     // Where knots do not follow the motion, residuals of an IMU swing through zero and none of them
     // is right.
-    const double reach =
-        IsOfPoses(model.quantity) ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
+    const bool is_pose = IsOfPoses(model.quantity);
+    const double reach = is_pose ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
+    const double share = is_pose ? 1.0 : kShareOfWeights;
     const std::vector<double> around = MeanSquareAround(sensor, reach);
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
       double& weight = model.weights[sensor.samples[i].index];
-      weight = std::sqrt(
-          weight * model.spread.Weight(std::max(around[i], sensor.residuals[i].squaredNorm())));
+      const double found =
+          model.spread.Weight(std::max(around[i], sensor.at_usual_weight[i].squaredNorm()));
+      weight *= std::pow(found / weight, share);
     }
   }
 }

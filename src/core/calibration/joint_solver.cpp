@@ -46,7 +46,7 @@ class JointSolver {
         ResampleImus();
       }
       Build();
-      summary = problem_->Step();
+      summary = problem_->Step(pass > 0 ? kSettled : 0.0);
       iterations_ += summary.iterations;
       FindNoise();
       solution.has_settled = pass > 0 && summary.is_whole && summary.moved < kSettled;

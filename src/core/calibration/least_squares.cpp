@@ -97,34 +97,6 @@ size_t CountOf(const ConditionedData& data, const SensorModel& model) {
   return model.quantity == Quantity::kGyro ? imu.gyro.size() : imu.accel.size();
 }
 
-GaussNewtonStep FindStep(const NormalEquations& equations, double damping, double max_factor_mb,
-                         int threads) {
-  const Elimination& elimination = *equations.elimination();
-  const auto damp = [damping](int, auto diagonal) { diagonal *= 1.0 + damping; };
-  const auto assemble = [&](size_t w, double* cost) {
-    Panels own = equations.Assemble(w, cost);
-    elimination.VisitDiagonal(damp, &own);
-    return own;
-  };
-  std::vector<double> costs(static_cast<size_t>(elimination.windows()), 0.0);
-  const Eigen::VectorXd weights = Eigen::VectorXd::Ones(elimination.windows());
-  EliminatedWindows windows(equations.elimination(), weights, max_factor_mb, threads,
-                            [&](size_t w) { return assemble(w, &costs[w]); });
-  Reduced reduced = windows.ReduceAll({});
-  for (Eigen::Index k = 0; k < reduced.H.rows(); ++k)
-    if (reduced.H(k, k) == 0.0) reduced.H(k, k) = 1.0;  // nothing acts on it: it stays
-  GaussNewtonStep step{equations.blocks(), Eigen::VectorXd::Zero(elimination.columns()),
-                       std::accumulate(costs.begin(), costs.end(), 0.0), std::nan("")};
-  const Eigen::VectorXd b = reduced.B * weights;
-  const Eigen::VectorXd x = -SolvePositive(reduced.H, b);
-  if (!x.allFinite()) return step;
-  step.x.head(b.size()) = x;
-  step.decrease = 0.5 * (reduced.inner.sum() - b.dot(x));
-  step.covariance = SolvePositive(reduced.H, Eigen::MatrixXd::Identity(b.size(), b.size()));
-  windows.SubstituteBack([&](size_t w) { return assemble(w, nullptr); }, &step.x);
-  return step;
-}
-
 }  // namespace
 
 void ThrowNotConverged(const CalibrationOptions& options) {
@@ -304,6 +276,61 @@ void LeastSquares::AddSlowErrors(size_t session, SlowErrors* errors) {
   }
 }
 
+void Linearisation::Eliminate(const CalibrationOptions& options, double damping) {
+  const auto count = static_cast<size_t>(equations.elimination()->windows());
+  // The gradient is the sum of the scores.
+  Eigen::VectorXd weights = Eigen::VectorXd::Zero(
+      static_cast<Eigen::Index>(count + 3 * order.means.size()) + order.biases);
+  weights.head(static_cast<Eigen::Index>(count)).setOnes();
+  std::vector<double> costs(count, 0.0);
+  windows.emplace(equations.elimination(), weights, options.max_factor_mb, options.Threads(),
+                  [&](size_t w) { return Assemble(w, damping, &costs[w]); });
+  cost = std::accumulate(costs.begin(), costs.end(), 0.0);
+  Panels means;
+  AddMeans(static_cast<int>(count), &means);
+  reduced = windows->ReduceAll(std::move(means));
+  reduced.B.middleCols(static_cast<Eigen::Index>(count), order.biases).setIdentity();
+}
+
+Panels Linearisation::Assemble(size_t window, double damping, double* cost) const {
+  Panels own = equations.Assemble(window, cost);
+  equations.elimination()->VisitDiagonal(
+      [damping](int, auto diagonal) { diagonal *= 1.0 + damping; }, &own);
+  AddMeans(static_cast<int>(window), &own);
+  return own;
+}
+
+void Linearisation::AddMeans(int window, Panels* panels) const {
+  const Elimination& elimination = *equations.elimination();
+  auto block = static_cast<int>(order.border.size());
+  int functional = elimination.windows() + order.biases;
+  for (const size_t knots : order.means) {
+    for (size_t k = 0; k < knots; ++k, ++block)
+      for (int axis = 0; axis < 3 && elimination.WindowOf(block) == window; ++axis)
+        elimination.AddRhs({elimination.place(block)}, functional + axis,
+                           Eigen::Vector3d::Unit(axis) / static_cast<double>(knots), panels);
+    functional += 3;
+  }
+}
+
+GaussNewtonStep Linearisation::FindStep() const {
+  Eigen::MatrixXd H = reduced.H;
+  for (Eigen::Index k = 0; k < H.rows(); ++k)
+    if (H(k, k) == 0.0) H(k, k) = 1.0;  // nothing acts on it: it stays
+  const Eigen::Index count = equations.elimination()->windows();
+  const Eigen::VectorXd b = reduced.B.leftCols(count).rowwise().sum(), x = -SolvePositive(H, b);
+  GaussNewtonStep step{Eigen::VectorXd::Zero(order.columns), std::nan(""), {}};
+  if (!x.allFinite()) return step;
+  step.x.head(b.size()) = x;
+  step.decrease = 0.5 * (reduced.inner.topLeftCorner(count, count).sum() - b.dot(x));
+  step.covariance = SolvePositive(H, Eigen::MatrixXd::Identity(b.size(), b.size()));
+  return step;
+}
+
+void Linearisation::SubstituteBack(double damping, Eigen::VectorXd* x) const {
+  windows->SubstituteBack([&](size_t w) { return Assemble(w, damping, nullptr); }, x);
+}
+
 RecordedSample LeastSquares::At(const SensorModel& model, size_t index) const {
   return SampleOf(sessions[model.session].data, model, index);
 }
@@ -324,8 +351,11 @@ Ordering LeastSquares::Order() const {
   order.biases = order.columns;
   for (const SessionEstimate& session : estimate->sessions)
     for (const ImuSessionEstimate& imu : session.imus)
-      for (const BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias})
+      for (const BiasKnots* knots : {&imu.gyro_bias, &imu.accel_bias}) {
+        const size_t before = order.inner.size();
         for (const Eigen::Vector3d& value : knots->values) add(value.data(), &order.inner);
+        if (order.inner.size() > before) order.means.push_back(order.inner.size() - before);
+      }
   order.walks = order.columns;
   for (const SessionEstimate& session : estimate->sessions)
     for (const ImuSessionEstimate& imu : session.imus)
@@ -343,30 +373,47 @@ std::optional<int> LeastSquares::SolveWithCeres(double function_tolerance) {
   return problem.SolveWithCeres(function_tolerance, options.max_iterations, options.Threads());
 }
 
-StepSummary LeastSquares::Step() {
-  const Ordering order = Order();
-  const NormalEquations normal(problem, order.border, order.inner, equations,
-                               static_cast<size_t>(windows.count()));
+Linearisation LeastSquares::Linearise() {
+  if (linearisation_) {
+    Linearisation known = std::move(*linearisation_);
+    linearisation_.reset();
+    return known;
+  }
+  Ordering order = Order();
+  NormalEquations normal(problem, order.border, order.inner, equations,
+                         static_cast<size_t>(windows.count()));
+  Linearisation at{std::move(order), std::move(normal), {}, {}, 0.0};
+  at.Eliminate(options, 0.0);
+  return at;
+}
+
+StepSummary LeastSquares::Step(double least) {
+  Linearisation at = Linearise();
   double damping = 0.0, growth = 1.0;
   for (int iteration = 1; iteration <= options.max_iterations; ++iteration) {
-    const GaussNewtonStep step =
-        FindStep(normal, damping, options.max_factor_mb, options.Threads());
-    const double moved = LargestMove(order, step.x, step.covariance.diagonal().cwiseSqrt());
+    if (damping > 0.0) at.Eliminate(options, damping);
+    GaussNewtonStep step = at.FindStep();
+    const double moved = LargestMove(at.order, step.x, step.covariance.diagonal().cwiseSqrt());
+    // A step that there is none of has a decrease of NaN.
+    if (damping == 0.0 && std::isfinite(step.decrease) && moved < least) {
+      linearisation_.emplace(std::move(at));
+      return {true, 0, moved};
+    }
     if (options.solver == SolverKind::kCeres) {
       const auto iterations = SolveWithCeres(kCeresTolerance);
       if (!iterations || !std::isfinite(step.decrease)) break;
-      estimate->peaks = MatchPeaks(*estimate, order.calibrated, step.covariance);
+      estimate->peaks = MatchPeaks(*estimate, at.order.calibrated, step.covariance);
       return {true, *iterations, moved};
     }
-    const std::vector<double> before = problem.Move(step.blocks, step.x);
+    at.SubstituteBack(damping, &step.x);
+    const std::vector<double> before = problem.Move(at.equations.blocks(), step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
-    // Never without a step, whose decrease is NaN.
-    if (step.cost - found >= kLeastGain * step.decrease - kNothing * step.cost) {
-      estimate->peaks = MatchPeaks(*estimate, order.calibrated, step.covariance);
+    if (at.cost - found >= kLeastGain * step.decrease - kNothing * at.cost) {
+      estimate->peaks = MatchPeaks(*estimate, at.order.calibrated, step.covariance);
       return {damping == 0.0, iteration, moved};
     }
-    problem.Restore(step.blocks, before);
+    problem.Restore(at.equations.blocks(), before);
     rows_.clear();
     damping = std::max(kDamping, damping * (growth *= 2.0));
   }
@@ -403,7 +450,7 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
       if (slow)
         error += slow->knots.At(recorded.t);
       else  // a shock is no noise
-        error *= std::sqrt(spread.Weight(sensor.residuals[i].squaredNorm()));
+        error *= std::sqrt(spread.Weight(sensor.at_usual_weight[i].squaredNorm()));
       const double weight = recorded.count / (recorded.scale * recorded.scale);
       const Eigen::Vector3d r = weight * window * error;
       const std::complex<double> turn = std::polar(1.0, angle);
@@ -439,6 +486,7 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
   InParallel(options.Threads(), sensors.size(), [&](size_t k) {
     SensorBlocks& sensor = sensors[k];
     sensor.residuals.clear();
+    sensor.at_usual_weight.clear();
     if (sensor.samples.empty()) {
       statistics[k] = {sensor.model->noise, 0.0, sensor.model->spread, {}};
       return;
@@ -448,22 +496,25 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     std::vector<float> variances;
     variances.reserve(sensor.samples.size());
     sensor.residuals.reserve(sensor.samples.size());
+    sensor.at_usual_weight.reserve(sensor.samples.size());
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
       const RecordedSample recorded = At(*sensor.model, sample.index);
       const double scale = recorded.scale;
-      const Eigen::Vector3d r =
-          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() +
-           recorded.rest) /
-          scale;
+      const Eigen::Vector3d smooth =
+          sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>();
+      const Eigen::Vector3d r = (smooth + recorded.rest) / scale;
+      const double leverage = std::min(1.0 - kLeastRedundancy, sensor.fitted * recorded.count);
+      const double to_usual = ToUsualWeight(leverage, sensor.model->weights[sample.index]);
       r_sigma += 3;
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
+      sensor.at_usual_weight.emplace_back((to_usual * smooth + recorded.rest) / scale);
       sum2 += scale * scale * r.squaredNorm();
     }
     const double count = 3.0 * static_cast<double>(sensor.samples.size());
     const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
-    StudentT spread = FitStudentT(sensor.residuals);
+    StudentT spread = FitStudentT(sensor.at_usual_weight);
     spread.scale /= std::sqrt(redundancy);
     const double spread2 = spread.scale * spread.scale;
     // The trajectory's share is known only roughly: it never explains the residuals alone.

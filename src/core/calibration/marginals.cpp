@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <optional>
 #include <utility>
 
 #include "imu_pose_calib/core/base/dense.h"
@@ -23,39 +22,28 @@ bool ActsIn(const Estimate& estimate, const Parameter& p, size_t session) {
 /// What is reported, as functionals L of the parameters and back: what is calibrated with gravity
 /// and mean biases. Turned to the units of the report by `basis`.
 struct Functionals {
-  std::vector<int> columns;  ///< of each functional in H; -1: a mean
-  struct Mean {
-    int functional;
-    size_t knots;  ///< of a bias, which follow those of the mean before
-  };
-  std::vector<Mean> means;
   Eigen::MatrixXd basis;  ///< rows: what is reported; columns: functionals
-
-  int count() const { return static_cast<int>(columns.size()); }
 
   /// Also lists the parameters in the result.
   Functionals(const Ordering& order, const LeastSquares& solved, Marginals* result) {
-    const auto place = [&](const Parameter& p, int column) {
-      result->parameters.push_back({p, count()});
-      for (int k = 0; k < p.size; ++k) columns.push_back(column < 0 ? -1 : column + k);
-      return column + p.size;
+    int count = 0;
+    const auto place = [&](const Parameter& p) {
+      result->parameters.push_back({p, count});
+      count += p.size;
     };
-    int column = 0, gravity = order.gravity;
-    for (const Parameter& p : order.calibrated) column = place(p, column);
-    for (size_t s = 0; s < solved.estimate->sessions.size(); ++s) {
-      if (solved.options.estimate_gravity)
-        gravity = place({ParameterKind::kGravity, 0, s, 3, nullptr}, gravity);
-      const std::vector<ImuSessionEstimate>& imus = solved.estimate->sessions[s].imus;
-      for (size_t i = 0; i < imus.size(); ++i) {
-        if (!imus[i].is_present) continue;
-        means.push_back({count(), imus[i].gyro_bias.values.size()});
-        place({ParameterKind::kGyroBias, i, s, 3, nullptr}, -1);
-        means.push_back({count(), imus[i].accel_bias.values.size()});
-        place({ParameterKind::kAccelBias, i, s, 3, nullptr}, -1);
+    const std::vector<SessionEstimate>& sessions = solved.estimate->sessions;
+    for (const Parameter& p : order.calibrated) place(p);
+    for (size_t s = 0; s < sessions.size() && solved.options.estimate_gravity; ++s)
+      place({ParameterKind::kGravity, 0, s, 3, nullptr});
+    for (size_t s = 0; s < sessions.size(); ++s) {
+      for (size_t i = 0; i < sessions[s].imus.size(); ++i) {
+        if (!sessions[s].imus[i].is_present) continue;
+        place({ParameterKind::kGyroBias, i, s, 3, nullptr});
+        place({ParameterKind::kAccelBias, i, s, 3, nullptr});
       }
     }
     // Ceres turns q_MI on the left by twice the step: to a rotation about the imu axes.
-    basis = Eigen::MatrixXd::Identity(count(), count());
+    basis = Eigen::MatrixXd::Identity(count, count);
     for (const PlacedParameter& p : result->parameters)
       if (p.parameter.kind == ParameterKind::kRotation)
         basis.block<3, 3>(p.place, p.place) =
@@ -96,14 +84,14 @@ std::vector<size_t> HalvesOfTurns(const LeastSquares& solved) {
 }
 
 /// H and scores of the whole problem and of parts of it, when all but the border is eliminated.
-/// Right-hand sides: scores of the clusters, which are the windows, and functionals.
 class ReducedProblem {
  public:
-  ReducedProblem(const Ordering& order, const Functionals& functionals, const LeastSquares& solved);
+  ReducedProblem(const LeastSquares& solved, const Linearisation& at);
 
   /// Of the functionals.
-  MarginalEstimate Estimate() const {
-    MarginalEstimate all = EstimateMarginals(all_.Products(), windows_, functionals_.count());
+  MarginalEstimate Estimate(int functionals) const {
+    MarginalEstimate all =
+        EstimateMarginals(at_.reduced.Products(), solved_.windows.count(), functionals);
     const Eigen::MatrixXd prior = PriorOfCalibrated();  // with which the functionals begin
     const Eigen::Index n = prior.rows();
     all.known.head(n) = (prior * all.covariance.topLeftCorner(n, n)).diagonal();
@@ -117,9 +105,6 @@ class ReducedProblem {
   /// Of columns of what is calibrated by a part, all else that is calibrated or could be being
   /// known.
   MarginalEstimate EstimateOf(const Part& part, const std::vector<int>& columns) const;
-  /// Marginals::inverse, of the factor, which is gone then.
-  std::shared_future<Panels> TakeInverse();
-  const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
 
   const std::vector<Part>& halves() const { return halves_; }
   const std::vector<Part>& sessions() const { return sessions_; }
@@ -145,60 +130,33 @@ class ReducedProblem {
   Eigen::MatrixXd PriorOfCalibrated() const;
   /// It counts in every part, not only where it stands.
   void AddPriors(Part* part) const;
-  /// The means of bias knots that are in one window, or are shared.
-  void AddMeans(int window, Panels* panels) const;
 
   const LeastSquares& solved_;
+  const Linearisation& at_;
   const Ordering& order_;
-  const Functionals& functionals_;
-  const int windows_;
-  const NormalEquations equations_;
-  const std::shared_ptr<const Elimination> elimination_;
   const std::vector<Prior> priors_;
   std::vector<Part> halves_, sessions_;
-  Reduced all_;
-  std::optional<EliminatedWindows> eliminated_;
 };
 
-ReducedProblem::ReducedProblem(const Ordering& order, const Functionals& functionals,
-                               const LeastSquares& solved)
+ReducedProblem::ReducedProblem(const LeastSquares& solved, const Linearisation& at)
     : solved_(solved),
-      order_(order),
-      functionals_(functionals),
-      windows_(solved.windows.count()),
-      equations_(solved.problem, order.border, order.inner, solved.equations,
-                 static_cast<size_t>(windows_)),
-      elimination_(equations_.elimination()),
+      at_(at),
+      order_(at.order),
       priors_(FindPriors()),
       halves_(2),
       sessions_(solved.sessions.size()) {
-  // The gradient is the sum of the scores.
-  Eigen::VectorXd weights = Eigen::VectorXd::Zero(windows_ + functionals.count());
-  weights.head(windows_).setOnes();
-  eliminated_.emplace(elimination_, weights, solved.options.max_factor_mb, solved.options.Threads(),
-                      [&](size_t w) {
-                        Panels own = equations_.Assemble(w);
-                        AddMeans(static_cast<int>(w), &own);
-                        return own;
-                      });
   const std::vector<size_t> halves = HalvesOfTurns(solved);
-  for (int w = 0; w < windows_; ++w) {
+  for (int w = 0; w < solved.windows.count(); ++w) {
     halves_[halves[static_cast<size_t>(w)]].windows.push_back(w);
     sessions_[solved.windows.SessionOf(w)].windows.push_back(w);
   }
   for (std::vector<Part>* parts : {&halves_, &sessions_}) {
     if (parts == &sessions_ && sessions_.size() == 1) continue;  // which is all
     for (Part& part : *parts) {
-      part.reduced = eliminated_->Reduce(part.windows);
+      part.reduced = at.windows->Reduce(part.windows);
       AddPriors(&part);
     }
   }
-  Panels means;
-  AddMeans(windows_, &means);
-  all_ = eliminated_->ReduceAll(std::move(means));
-  for (int f = 0; f < functionals.count(); ++f)
-    if (const int own = functionals.columns[static_cast<size_t>(f)]; own >= 0)
-      all_.B(own, windows_ + f) = 1.0;
 }
 
 MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
@@ -211,19 +169,6 @@ MarginalEstimate ReducedProblem::EstimateOf(const Part& part,
   const Eigen::MatrixXd prior = Gather(PriorOfCalibrated(), columns, columns);
   estimate.known = (prior * estimate.covariance).diagonal();
   return estimate;
-}
-
-std::shared_future<Panels> ReducedProblem::TakeInverse() {
-  Panels factor = eliminated_->TakeFactor();
-  const Eigen::Index size = all_.H.rows();
-  const Eigen::MatrixXd border = SolvePositive(all_.H, Eigen::MatrixXd::Identity(size, size));
-  if (factor.empty() || !border.allFinite()) return {};
-  const auto invert = [elimination = elimination_, border,
-                       threads = solved_.options.Threads()](Panels panels) {
-    elimination->Invert(border, threads, &panels);
-    return panels;
-  };
-  return std::async(std::launch::deferred, invert, std::move(factor)).share();
 }
 
 std::vector<ReducedProblem::Prior> ReducedProblem::FindPriors() const {
@@ -290,13 +235,18 @@ void ReducedProblem::AddPriors(Part* part) const {
   }
 }
 
-void ReducedProblem::AddMeans(int window, Panels* panels) const {
-  auto block = static_cast<int>(order_.border.size());
-  for (const Functionals::Mean& mean : functionals_.means)
-    for (size_t k = 0; k < mean.knots; ++k, ++block)
-      for (int axis = 0; axis < 3 && elimination_->WindowOf(block) == window; ++axis)
-        elimination_->AddRhs({elimination_->place(block)}, windows_ + mean.functional + axis,
-                             Eigen::Vector3d::Unit(axis) / static_cast<double>(mean.knots), panels);
+/// Marginals::inverse, of the factor, which is gone then.
+std::shared_future<Panels> TakeInverse(const CalibrationOptions& options, Linearisation* at) {
+  Panels factor = at->windows->TakeFactor();
+  const Eigen::MatrixXd& H = at->reduced.H;
+  const Eigen::MatrixXd border = SolvePositive(H, Eigen::MatrixXd::Identity(H.rows(), H.rows()));
+  if (factor.empty() || !border.allFinite()) return {};
+  const auto invert = [elimination = at->equations.elimination(), border,
+                       threads = options.Threads()](Panels panels) {
+    elimination->Invert(border, threads, &panels);
+    return panels;
+  };
+  return std::async(std::launch::deferred, invert, std::move(factor)).share();
 }
 
 /// Share of the scores' degrees of freedom that the fit used up. Scores have as many dimensions per
@@ -411,10 +361,11 @@ void FindSessions(const ReducedProblem& problem, const Ordering& order, const Es
 
 Marginals FindMarginals(LeastSquares* solved) {
   Marginals result;
-  const Ordering order = solved->Order();
+  Linearisation at = solved->Linearise();
+  const Ordering& order = at.order;
+  const ReducedProblem problem(*solved, at);
   const Functionals functionals(order, *solved, &result);
-  ReducedProblem problem(order, functionals, *solved);
-  const MarginalEstimate marginal = problem.Estimate();
+  const MarginalEstimate marginal = problem.Estimate(static_cast<int>(functionals.basis.rows()));
   const Estimate& estimate = *solved->estimate;
 
   const double fitted = FittedShare(order, *solved);
@@ -428,8 +379,8 @@ Marginals FindMarginals(LeastSquares* solved) {
                 &result);
   FindSessions(problem, order, estimate, functionals, fitted, functionals.basis * marginal.Step(),
                &result);
-  result.elimination = problem.elimination();
-  result.inverse = problem.TakeInverse();
+  result.elimination = at.equations.elimination();
+  result.inverse = TakeInverse(solved->options, &at);
   result.calibrated_end = order.gravity;
   result.trajectory_begin = order.trajectory;
   return result;

@@ -17,6 +17,12 @@ struct StudentT {
   }
 };
 
+/// By what the residual of a sample of a weight is multiplied to be that of weight 1, where its
+/// leverage (its element of the hat matrix) is `leverage`, doc/math.md, S4, "Robust weights".
+inline double ToUsualWeight(double leverage, double weight) {
+  return 1.0 - leverage * (1.0 - weight);
+}
+
 /// The likeliest of 1 to 100 degrees of freedom. x: at least one vector; the scale is 1e-6 at
 /// least.
 StudentT FitStudentT(const std::vector<Eigen::Vector3d>& x);

@@ -82,8 +82,9 @@ struct SensorBlocks {
   /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
   double fitted = 0.0;
   double band = 0.0;  ///< [Hz] up to which residuals have a spectrum
-  /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
-  std::vector<Eigen::Vector3d> residuals;
+  /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics(); and
+  /// as they would be if its weight were 1, which is what weights are found from.
+  std::vector<Eigen::Vector3d> residuals, at_usual_weight;
 };
 
 /// Residuals of the samples of a sensor, measured less model, with the noise that weighs them.
@@ -96,13 +97,10 @@ struct SensorResiduals {
   std::vector<double> weight;             ///< robust (0..1]
 };
 
-/// Of parameter blocks of a problem, one after the other.
 struct GaussNewtonStep {
-  std::vector<int> blocks;
-  Eigen::VectorXd x;
-  double cost = 0.0;      ///< where it begins
-  double decrease = 0.0;  ///< of the cost, if the residuals were linear; NaN when there is no step
-  Eigen::MatrixXd covariance = Eigen::MatrixXd();  ///< of what acts everywhere
+  Eigen::VectorXd x;           ///< of all columns
+  double decrease;             ///< of the cost, if residuals were linear; NaN when there is no step
+  Eigen::MatrixXd covariance;  ///< of the border
 };
 
 struct StepSummary {
@@ -142,8 +140,31 @@ struct Ordering {
   int columns = 0;
   std::vector<Parameter> calibrated;  ///< from column 0 on
   int gravity = 0, biases = 0;        ///< of each session; biases: no longer border
+  std::vector<size_t> means;          ///< knots of each bias, one after the other
   int walks = 0;                      ///< of clocks, and slow errors
   int trajectory = 0;
+};
+
+/// Normal equations of a least squares problem, reduced to what acts everywhere. Right-hand sides:
+/// scores of the windows, then functionals, which are the columns of the border and the mean of
+/// each bias.
+struct Linearisation {
+  Ordering order;
+  NormalEquations equations;
+  std::optional<EliminatedWindows> windows;
+  Reduced reduced;
+  double cost;
+
+  /// The diagonal of H being larger by this share.
+  void Eliminate(const CalibrationOptions& options, double damping);
+  /// Of the border, which SubstituteBack() completes.
+  GaussNewtonStep FindStep() const;
+  void SubstituteBack(double damping, Eigen::VectorXd* x) const;
+
+ private:
+  Panels Assemble(size_t window, double damping, double* cost) const;
+  /// The means of bias knots that are in one window, or are shared.
+  void AddMeans(int window, Panels* panels) const;
 };
 
 /// A least squares problem over all sessions: what the two solves, against fixed trajectories and
@@ -175,9 +196,12 @@ struct LeastSquares {
 
   Ordering Order() const;
 
-  /// A Gauss-Newton step, damped until the cost does not rise; or Ceres, by the options. After
-  /// max_iterations refused ones the estimate is where it was.
-  StepSummary Step();
+  /// A Gauss-Newton step, damped until the cost does not rise; or Ceres, by the options. One that
+  /// would move by less than `least` is not taken. After max_iterations refused ones the estimate
+  /// is where it was.
+  StepSummary Step(double least = 0.0);
+  /// Where the estimate stands.
+  Linearisation Linearise();
   std::optional<int> SolveWithCeres(double function_tolerance);
   /// Of each sensor.
   std::vector<SensorStatistics> FindStatistics();
@@ -196,7 +220,9 @@ struct LeastSquares {
   NoiseSpectrum FindSpectrum(const SensorBlocks& sensor, const float* rows,
                              const StudentT& spread) const;
 
-  std::vector<float> rows_;  ///< residuals where the estimate stands; empty: not known
+  // Where the estimate stands; empty: not known.
+  std::vector<float> rows_;  ///< residuals
+  std::optional<Linearisation> linearisation_;
 };
 
 /// The DataError of a solve that did not converge.
