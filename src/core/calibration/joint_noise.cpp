@@ -58,21 +58,23 @@ Densities JointDensities(const LeastSquares& joint, size_t session) {
   return S;
 }
 
-/// Mean squared residual at the usual weight of the samples within `reach` [s] of each, which are
-/// in order of time.
-std::vector<double> MeanSquareAround(const SensorBlocks& sensor, double reach) {
+/// Squared residual at the usual weight of each sample, which are in order of time; or the mean of
+/// those within `reach` [s], where that is larger.
+std::vector<double> SquaresAround(const LeastSquares& joint, const SensorBlocks& sensor,
+                                  double reach) {
   const std::vector<ProblemSample>& samples = sensor.samples;
-  std::vector<double> means;
+  std::vector<double> squares, larger;
+  for (size_t i = 0; i < samples.size(); ++i)
+    squares.push_back(joint.AtUsualWeight(sensor, i).squaredNorm());
   size_t begin = 0, end = 0;
   double sum = 0.0;
-  for (const ProblemSample& sample : samples) {
-    for (; end < samples.size() && samples[end].t <= sample.t + reach; ++end)
-      sum += sensor.at_usual_weight[end].squaredNorm();
-    for (; samples[begin].t < sample.t - reach; ++begin)
-      sum -= sensor.at_usual_weight[begin].squaredNorm();
-    means.push_back(sum / static_cast<double>(end - begin));
+  for (size_t i = 0; i < samples.size(); ++i) {
+    for (; end < samples.size() && samples[end].t <= samples[i].t + reach; ++end)
+      sum += squares[end];
+    for (; samples[begin].t < samples[i].t - reach; ++begin) sum -= squares[begin];
+    larger.push_back(std::max(squares[i], sum / static_cast<double>(end - begin)));
   }
-  return means;
+  return larger;
 }
 
 double Omega2(double frequency) { return std::pow(2.0 * M_PI * frequency, 2); }
@@ -232,11 +234,10 @@ void UpdateWeights(const LeastSquares& joint, const std::vector<CorrectionSpline
     const bool is_pose = IsOfPoses(model.quantity);
     const double reach = is_pose ? 0.0 : 0.5 * kSplineOrder * splines[model.session].spacing();
     const double share = is_pose ? 1.0 : kShareOfWeights;
-    const std::vector<double> around = MeanSquareAround(sensor, reach);
+    const std::vector<double> squares = SquaresAround(joint, sensor, reach);
     for (size_t i = 0; i < sensor.samples.size(); ++i) {
       double& weight = model.weights[sensor.samples[i].index];
-      const double found =
-          model.spread.Weight(std::max(around[i], sensor.at_usual_weight[i].squaredNorm()));
+      const double found = model.spread.Weight(squares[i]);
       weight *= std::pow(found / weight, share);
     }
   }

@@ -48,11 +48,12 @@ class JointSolver {
       Build();
       summary = problem_->Step(pass > 0 ? kSettled : 0.0);
       iterations_ += summary.iterations;
-      FindNoise();
       solution.has_settled = pass > 0 && summary.is_whole && summary.moved < kSettled;
+      if (solution.has_settled || pass + 1 == kMaxPasses)
+        solution.marginals = FindMarginals(problem_.get());
+      FindNoise();
     }
     if (!std::isfinite(summary.moved)) ThrowNotConverged(options_);
-    solution.marginals = FindMarginals(problem_.get());
     solution.statistics = std::move(statistics_);
     solution.residuals = problem_->FindResiduals(limited_);
     problem_.reset();

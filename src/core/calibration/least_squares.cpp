@@ -331,6 +331,16 @@ void Linearisation::SubstituteBack(double damping, Eigen::VectorXd* x) const {
   windows->SubstituteBack([&](size_t w) { return Assemble(w, damping, nullptr); }, x);
 }
 
+Eigen::Vector3d LeastSquares::AtUsualWeight(const SensorBlocks& sensor, size_t i) const {
+  const size_t index = sensor.samples[i].index;
+  const RecordedSample recorded = At(*sensor.model, index);
+  const double leverage = std::min(1.0 - kLeastRedundancy, sensor.fitted * recorded.count);
+  // The trajectory follows what is in its band, not the rest.
+  const Eigen::Vector3d rest = recorded.rest / recorded.scale;
+  return rest +
+         ToUsualWeight(leverage, sensor.model->weights[index]) * (sensor.residuals[i] - rest);
+}
+
 RecordedSample LeastSquares::At(const SensorModel& model, size_t index) const {
   return SampleOf(sessions[model.session].data, model, index);
 }
@@ -450,7 +460,7 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
       if (slow)
         error += slow->knots.At(recorded.t);
       else  // a shock is no noise
-        error *= std::sqrt(spread.Weight(sensor.at_usual_weight[i].squaredNorm()));
+        error *= std::sqrt(spread.Weight(AtUsualWeight(sensor, i).squaredNorm()));
       const double weight = recorded.count / (recorded.scale * recorded.scale);
       const Eigen::Vector3d r = weight * window * error;
       const std::complex<double> turn = std::polar(1.0, angle);
@@ -486,7 +496,6 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
   InParallel(options.Threads(), sensors.size(), [&](size_t k) {
     SensorBlocks& sensor = sensors[k];
     sensor.residuals.clear();
-    sensor.at_usual_weight.clear();
     if (sensor.samples.empty()) {
       statistics[k] = {sensor.model->noise, 0.0, sensor.model->spread, {}};
       return;
@@ -496,25 +505,25 @@ std::vector<SensorStatistics> LeastSquares::FindStatistics() {
     std::vector<float> variances;
     variances.reserve(sensor.samples.size());
     sensor.residuals.reserve(sensor.samples.size());
-    sensor.at_usual_weight.reserve(sensor.samples.size());
     double sum2 = 0.0;
     for (const ProblemSample& sample : sensor.samples) {
       const RecordedSample recorded = At(*sensor.model, sample.index);
       const double scale = recorded.scale;
-      const Eigen::Vector3d smooth =
-          sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>();
-      const Eigen::Vector3d r = (smooth + recorded.rest) / scale;
-      const double leverage = std::min(1.0 - kLeastRedundancy, sensor.fitted * recorded.count);
-      const double to_usual = ToUsualWeight(leverage, sensor.model->weights[sample.index]);
+      const Eigen::Vector3d r =
+          (sample.sigma * Eigen::Map<const Eigen::Vector3f>(r_sigma).cast<double>() +
+           recorded.rest) /
+          scale;
       r_sigma += 3;
       variances.push_back(sample.trajectory_variance);
       sensor.residuals.push_back(r);
-      sensor.at_usual_weight.emplace_back((to_usual * smooth + recorded.rest) / scale);
       sum2 += scale * scale * r.squaredNorm();
     }
     const double count = 3.0 * static_cast<double>(sensor.samples.size());
     const double redundancy = std::max(kLeastRedundancy, 1.0 - sensor.fitted);
-    StudentT spread = FitStudentT(sensor.at_usual_weight);
+    std::vector<Eigen::Vector3d> at_usual_weight;
+    for (size_t i = 0; i < sensor.samples.size(); ++i)
+      at_usual_weight.push_back(AtUsualWeight(sensor, i));
+    StudentT spread = FitStudentT(at_usual_weight);
     spread.scale /= std::sqrt(redundancy);
     const double spread2 = spread.scale * spread.scale;
     // The trajectory's share is known only roughly: it never explains the residuals alone.

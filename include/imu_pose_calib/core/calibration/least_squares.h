@@ -82,9 +82,8 @@ struct SensorBlocks {
   /// Share of the samples' degrees of freedom that the trajectory uses up by following them [0..1].
   double fitted = 0.0;
   double band = 0.0;  ///< [Hz] up to which residuals have a spectrum
-  /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics(); and
-  /// as they would be if its weight were 1, which is what weights are found from.
-  std::vector<Eigen::Vector3d> residuals, at_usual_weight;
+  /// Of each sample, in the sensor's unit and over its scale, as of the last FindStatistics().
+  std::vector<Eigen::Vector3d> residuals;
 };
 
 /// Residuals of the samples of a sensor, measured less model, with the noise that weighs them.
@@ -208,6 +207,9 @@ struct LeastSquares {
   /// Residuals of all samples of each sensor as of the last FindStatistics(), of those for which
   /// others stand linear in between. `recorded`: the sessions as they were before Thinned().
   std::vector<SensorResiduals> FindResiduals(const std::vector<PreparedSession>& recorded) const;
+  /// Residual of sample `i` as it would be if its weight were 1, which is what weights are found
+  /// from.
+  Eigen::Vector3d AtUsualWeight(const SensorBlocks& sensor, size_t i) const;
   /// Sample `index` of the sensor's data.
   RecordedSample At(const SensorModel& model, size_t index) const;
 
