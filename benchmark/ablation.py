@@ -34,7 +34,9 @@ C, T, D, S, V = ("src/core/%s/" % room for room in ("calibration", "trajectory",
 # Name: what it does, file, text, the same with the rule switched off where OFF stands.
 RULES = {
     "weights around": ("IMU samples weigh by those around, too", C + "joint_noise.cpp",
-                       "IsOfPoses(model.quantity) ? 0.0 : 0.5 *", "IsOfPoses(model.quantity) || OFF ? 0.0 : 0.5 *"),
+                       "is_pose ? 0.0 : 0.5 *", "is_pose || OFF ? 0.0 : 0.5 *"),
+    "weight one": ("weights by the residuals of weight one", C + "least_squares.cpp",
+                   "ToUsualWeight(leverage,", "ToUsualWeight(OFF ? 0.0 : leverage,"),
     "slow errors": ("the sigma of slow errors of rotations is found", C + "joint_noise.cpp",
                     "std::max(kLeastSlowError, std::sqrt(x.back()))",
                     "!is_linear && OFF ? kLeastSlowError : std::max(kLeastSlowError, std::sqrt(x.back()))"),

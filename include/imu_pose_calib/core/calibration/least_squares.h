@@ -199,7 +199,7 @@ struct LeastSquares {
   /// would move by less than `least` is not taken. After max_iterations refused ones the estimate
   /// is where it was.
   StepSummary Step(double least = 0.0);
-  /// Where the estimate stands.
+  /// The normal equations where the estimate stands.
   Linearisation Linearise();
   std::optional<int> SolveWithCeres(double function_tolerance);
   /// Of each sensor.

@@ -70,7 +70,7 @@ class EliminatedWindows {
 
   /// Of some windows alone.
   Reduced Reduce(const std::vector<int>& windows) const;
-  /// Of all, and of what else acts on the columns that they share; last, and once.
+  /// Of all, and of what else acts on the columns that they share; once.
   Reduced ReduceAll(Panels shared);
   /// The rows of all windows and of what they share, when x has those of the border. `assemble`: as
   /// before, for factors that were not kept.
