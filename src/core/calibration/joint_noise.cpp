@@ -20,9 +20,8 @@ constexpr int kRounds = 300;  // of the likelihood's ascent
 /// Bounds of the sigma of slow errors [m, rad]: nothing beside the noise of poses, with which H
 /// stays regular; and beyond what is an error.
 constexpr double kLeastSlowError = 1e-6, kMostSlowError = 0.1;
-constexpr double kLeastShare = 0.1;  // of the way to the noise that is found
-/// Share of the way to an IMU's weights that are found, which neighbours act on.
-constexpr double kShareOfWeights = 0.75;
+constexpr double kLeastShare = 0.1;      // of the way to the noise that is found
+constexpr double kShareOfWeights = 0.5;  // of the way to an IMU's weights, that neighbours act on
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 bool IsLinear(Quantity quantity) {
@@ -58,8 +57,8 @@ Densities JointDensities(const LeastSquares& joint, size_t session) {
   return S;
 }
 
-/// Squared residual at the usual weight of each sample, which are in order of time; or the mean of
-/// those within `reach` [s], where that is larger.
+/// Squared residual that the weight of each sample is found from, which are in order of time; or
+/// the mean of those within `reach` [s], where that is larger.
 std::vector<double> SquaresAround(const LeastSquares& joint, const SensorBlocks& sensor,
                                   double reach) {
   const std::vector<ProblemSample>& samples = sensor.samples;

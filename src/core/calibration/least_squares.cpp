@@ -332,13 +332,14 @@ void Linearisation::SubstituteBack(double damping, Eigen::VectorXd* x) const {
 }
 
 Eigen::Vector3d LeastSquares::AtUsualWeight(const SensorBlocks& sensor, size_t i) const {
+  const Eigen::Vector3d& residual = sensor.residuals[i];
+  if (!IsOfPoses(sensor.model->quantity)) return residual;  // it weighs as its neighbours do
   const size_t index = sensor.samples[i].index;
-  const RecordedSample recorded = At(*sensor.model, index);
-  const double leverage = std::min(1.0 - kLeastRedundancy, sensor.fitted * recorded.count);
+  const RecordedSample pose = At(*sensor.model, index);
+  const double leverage = std::min(1.0 - kLeastRedundancy, sensor.fitted * pose.count);
   // The trajectory follows what is in its band, not the rest.
-  const Eigen::Vector3d rest = recorded.rest / recorded.scale;
-  return rest +
-         ToUsualWeight(leverage, sensor.model->weights[index]) * (sensor.residuals[i] - rest);
+  const Eigen::Vector3d rest = pose.rest / pose.scale;
+  return rest + ToUsualWeight(leverage, sensor.model->weights[index]) * (residual - rest);
 }
 
 RecordedSample LeastSquares::At(const SensorModel& model, size_t index) const {

@@ -207,8 +207,7 @@ struct LeastSquares {
   /// Residuals of all samples of each sensor as of the last FindStatistics(), of those for which
   /// others stand linear in between. `recorded`: the sessions as they were before Thinned().
   std::vector<SensorResiduals> FindResiduals(const std::vector<PreparedSession>& recorded) const;
-  /// Residual of sample `i` as it would be if its weight were 1, which is what weights are found
-  /// from.
+  /// Residual of sample `i` that its weight is found from: of a pose as it would be if that were 1.
   Eigen::Vector3d AtUsualWeight(const SensorBlocks& sensor, size_t i) const;
   /// Sample `index` of the sensor's data.
   RecordedSample At(const SensorModel& model, size_t index) const;
