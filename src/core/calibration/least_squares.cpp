@@ -420,6 +420,7 @@ StepSummary LeastSquares::Step(double least) {
     const std::vector<double> before = problem.Move(at.equations.blocks(), step.x);
     double found = 0.0;
     if (!problem.Evaluate(options.Threads(), &rows_, &found)) found = std::nan("");
+    // Never without a step, whose decrease is NaN.
     if (at.cost - found >= kLeastGain * step.decrease - kNothing * at.cost) {
       estimate->peaks = MatchPeaks(*estimate, at.order.calibrated, step.covariance);
       return {damping == 0.0, iteration, moved};
@@ -461,7 +462,7 @@ NoiseSpectrum LeastSquares::FindSpectrum(const SensorBlocks& sensor, const float
       if (slow)
         error += slow->knots.At(recorded.t);
       else  // a shock is no noise
-        error *= std::sqrt(spread.Weight(AtUsualWeight(sensor, i).squaredNorm()));
+        error *= std::sqrt(spread.Weight(sensor.residuals[i].squaredNorm()));
       const double weight = recorded.count / (recorded.scale * recorded.scale);
       const Eigen::Vector3d r = weight * window * error;
       const std::complex<double> turn = std::polar(1.0, angle);

@@ -18,7 +18,7 @@ struct StudentT {
 };
 
 /// By what the residual of a sample of a weight is multiplied to be that of weight 1, where its
-/// leverage (its element of the hat matrix) is `leverage`, doc/math.md, S4, "Robust weights".
+/// leverage (its element of the hat matrix) is `leverage`, doc/math.md, S4, "Outliers".
 inline double ToUsualWeight(double leverage, double weight) {
   return 1.0 - leverage * (1.0 - weight);
 }
